@@ -1,0 +1,131 @@
+"""Out-of-plane elasticity: hinges with a rest curvature (Sections 2.2 and 2.6)."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxcrumple.model.geometry import (
+    Hinge,
+    Vec,
+    curvature,
+    gather,
+    hinge,
+    hinge_gradient,
+    hinge_hessian,
+    outer,
+    scale,
+)
+from jaxcrumple.model.stencil import scatter
+
+# The smooth stop that keeps faces from passing through each other acts beyond this angle.
+FOLD_STOP = jnp.pi * 170.0 / 180.0
+# Hinges per pass of the Hessian kernel: its temporaries stay in the second-level cache.
+CHUNK = 1024
+
+
+def fold_stop(theta: Array) -> Array:
+    """Barrier $u^3/(1-u)$, $u = (|\\theta| - \\theta_s)/(\\pi - \\theta_s)$: 0 below $\\theta_s$ = 170 degrees.
+
+    Twice continuously differentiable at the onset and infinite at 180 degrees, where $c$ loses its
+    force and the sign of $\\theta$ would flip.
+    """
+    reach = jnp.pi - FOLD_STOP
+    u = jnp.maximum(jnp.abs(theta) - FOLD_STOP, 0.0) / reach
+    return u * u * u / (1.0 - u)
+
+
+def hinge_energy(theta: Array, rest_curvature: Array, stiffness: Array) -> Array:
+    """Energy of a hinge in J: $\\frac{K}{2} (c - p)^2$ (eq. 31) and the fold stop.
+
+    `stiffness` is $K = k_b \\sqrt3 |e_0|^2 / (2 \\bar A)$, `rest_curvature` is $p$.
+    """
+    elastic = curvature(theta) - rest_curvature
+    return stiffness * (0.5 * elastic * elastic + fold_stop(theta))
+
+
+def _stop_derivatives(theta: Array) -> tuple[Array, Array]:
+    reach = jnp.pi - FOLD_STOP
+    u = jnp.maximum(jnp.abs(theta) - FOLD_STOP, 0.0) / reach
+    w = 1.0 / (1.0 - u)
+    first = u * u * (3.0 - 2.0 * u) * w * w / reach
+    second = 2.0 * u * (3.0 - 3.0 * u + u * u) * w * w * w / (reach * reach)
+    return jnp.sign(theta) * first, second
+
+
+class Bending(eqx.Module):
+    """Hinges on all interior edges.
+
+    **Arguments:**
+
+    - `nodes`: (h, 4) node numbers x0 ... x3 of Fig. 3a.
+    - `stiffness`: (h,) $K = k_b \\sqrt3 |e_0|^2/(2 \\bar A)$ in J; weights frozen in the rest shape (eq. 20).
+    - `rest_curvature`: (h,) dimensionless rest curvature of the undamaged sheet.
+    """
+
+    nodes: Array
+    stiffness: Array
+    rest_curvature: Array
+
+    def hinges(self, x: Array) -> Hinge:
+        """Geometry of all hinges at positions `x` (n, 3)."""
+        return hinge(*gather(x, self.nodes))
+
+    def element_energy(self, x: Array, p: Array) -> Array:
+        """Energy of each hinge (h,) in J, with rest curvature `p` (h,)."""
+        return hinge_energy(self.hinges(x).theta, p, self.stiffness)
+
+    def energy(self, x: Array, p: Array) -> Array:
+        """Bending energy in J (eq. 31)."""
+        return jnp.sum(self.element_energy(x, p))
+
+    def _torque(self, theta: Array, p: Array) -> Array:
+        stop, _ = _stop_derivatives(theta)
+        return self.stiffness * ((curvature(theta) - p) * jnp.cos(0.5 * theta) + stop)
+
+    def force(self, hinges: Hinge, p: Array, n: int) -> Array:
+        """Nodal forces (n, 3) in N from the hinges' geometry; minus the gradient of `energy`."""
+        gradient = hinge_gradient(hinges)
+        torque = -self._torque(hinges.theta, p)
+        vectors = tuple(scale(torque, g) for g in (gradient.g0, gradient.g1, gradient.g2, gradient.g3))
+        return scatter(self.nodes, vectors, n)
+
+    def blocks(self, x: Array, p: Array, softening: Array | None) -> Array:
+        """Element Hessians (10, 3, 3, h) in N/m, blocks ordered as `upper_pairs(4)`.
+
+        `softening` (h,) is dp/dc of the implicit plastic update (PHYSICS: $\\beta h f'/(1 + \\beta h f')$),
+        which lowers the stiffness along the gradient of c; None for an elastic sheet.
+        """
+        corners = gather(x, self.nodes)
+        loss = jnp.zeros_like(p) if softening is None else softening
+        operands = (corners, p, self.stiffness, loss)
+        count = self.nodes.shape[0]
+        chunks = -(-count // CHUNK)
+        if chunks == 1:
+            return hinge_blocks(*operands)
+        # Pad with copies of the first hinge, whose geometry is sound; the tail is dropped.
+        pad = chunks * CHUNK - count
+
+        def split(a: Array) -> Array:
+            return jnp.concatenate([a, jnp.broadcast_to(a[:1], (pad,))]).reshape(chunks, CHUNK)
+
+        blocks = jax.lax.map(lambda part: hinge_blocks(*part), jax.tree.map(split, operands))
+        return jnp.moveaxis(blocks, 0, -2).reshape(10, 3, 3, -1)[..., :count]
+
+
+def hinge_blocks(corners: tuple[Vec, ...], p: Array, stiffness: Array, softening: Array) -> Array:
+    """Hessian of `hinge_energy` by the four corners, p following c with slope `softening`."""
+    geometry = hinge(*corners)
+    gradient = hinge_gradient(geometry)
+    theta = geometry.theta
+    stop1, stop2 = _stop_derivatives(theta)
+    slope = jnp.cos(0.5 * theta)
+    elastic = curvature(theta) - p
+    first = stiffness * (elastic * slope + stop1)
+    second = stiffness * ((1.0 - softening) * slope * slope - 0.25 * elastic * curvature(theta) + stop2)
+    g = (gradient.g0, gradient.g1, gradient.g2, gradient.g3)
+    pairs = [(a, b) for a in range(4) for b in range(a, 4)]
+    hessian = hinge_hessian(geometry, gradient)
+    return jnp.stack(
+        [first * h + outer(scale(second, g[a]), g[b]) for h, (a, b) in zip(hessian, pairs, strict=True)]
+    )

@@ -1,0 +1,131 @@
+"""Confinement by smooth rigid walls that may move.
+
+A wall is a shape, which measures the signed gap d between a point and itself, and one soft law:
+$U = k_w \\langle\\sigma - d\\rangle^3 / (3\\sigma)$, so $F = k_w \\langle\\sigma - d\\rangle^2/\\sigma$ along the inward normal. The
+force starts smoothly at $d = \\sigma$ and is $k_w \\sigma$ at the wall itself.
+"""
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+# Guards the distance to a centre or an axis, m^2: far below any length that matters here.
+TINY = 1e-30
+
+
+class Ramp(eqx.Module):
+    """A number that changes linearly: `start` + `rate` * t. Any callable module of t may replace it."""
+
+    start: Array
+    rate: Array
+
+    def __call__(self, t: Array) -> Array:
+        """Value at time `t`."""
+        return self.start + self.rate * t
+
+
+class AbstractShape(eqx.Module):
+    """The geometry of a wall."""
+
+    @abc.abstractmethod
+    def gap(self, point: Array, t: Array) -> Array:
+        """Signed distance in m from the `point` (3,) to the wall at time `t`; positive inside."""
+
+
+class Sphere(AbstractShape):
+    """The inside of a sphere: `center` (3,) in m, `radius` a callable of time in m."""
+
+    center: Array
+    radius: eqx.Module
+
+    def gap(self, point: Array, t: Array) -> Array:
+        """Radius minus distance from the centre."""
+        offset = point - self.center
+        return self.radius(t) - jnp.sqrt(offset @ offset + TINY)
+
+
+class Cylinder(AbstractShape):
+    """The inside of an infinite cylinder through `center` (3,) along the unit vector `axis` (3,)."""
+
+    center: Array
+    axis: Array
+    radius: eqx.Module
+
+    def gap(self, point: Array, t: Array) -> Array:
+        """Radius minus distance from the axis."""
+        offset = point - self.center
+        radial = offset - (offset @ self.axis) * self.axis
+        return self.radius(t) - jnp.sqrt(radial @ radial + TINY)
+
+
+class Plane(AbstractShape):
+    """The half space $\\hat n \\cdot x > $ `offset`(t), with unit `normal` (3,) pointing inside."""
+
+    normal: Array
+    offset: eqx.Module
+
+    def gap(self, point: Array, t: Array) -> Array:
+        """Height above the plane."""
+        return self.normal @ point - self.offset(t)
+
+
+class Cone(AbstractShape):
+    """The inside of a cone of half angle `half_angle` (rad), opening from its tip along `axis`.
+
+    `height` is a callable of time: the position of the tip on the line `center` + s * `axis`, in m.
+    """
+
+    center: Array
+    axis: Array
+    half_angle: Array
+    height: eqx.Module
+
+    def gap(self, point: Array, t: Array) -> Array:
+        """Distance from the cone's surface."""
+        offset = point - self.center
+        along = offset @ self.axis
+        radial = offset - along * self.axis
+        distance = jnp.sqrt(radial @ radial + TINY)
+        return (along - self.height(t)) * jnp.sin(self.half_angle) - distance * jnp.cos(self.half_angle)
+
+
+class Wall(eqx.Module):
+    """A shape and its stiffness.
+
+    **Arguments:**
+
+    - `shape`: an `AbstractShape`.
+    - `stiffness`: (n,) $k_w$ of each node in N/m (scale it with the node's area).
+    - `range`: $\\sigma$ in m, the gap at which the wall starts to push.
+    """
+
+    shape: AbstractShape
+    stiffness: Array
+    range: Array
+
+    def node_energy(self, x: Array, t: Array) -> Array:
+        """Energy of each node (n,) in J."""
+        return jax.vmap(self._energy, (0, 0, None))(x, self.stiffness, t)
+
+    def _energy(self, point: Array, stiffness: Array, t: Array) -> Array:
+        overlap = jnp.maximum(self.range - self.shape.gap(point, t), 0.0)
+        return stiffness * overlap**3 / (3.0 * self.range)
+
+    def energy(self, x: Array, t: Array) -> Array:
+        """Energy in J at positions `x` (n, 3) and time `t`."""
+        return jnp.sum(self.node_energy(x, t))
+
+    def gap(self, x: Array, t: Array) -> Array:
+        """Signed gap of each node (n,) in m; negative means the node is behind the wall."""
+        return jax.vmap(self.shape.gap, (0, None))(x, t)
+
+    def force(self, x: Array, t: Array) -> Array:
+        """Nodal forces (n, 3) in N."""
+        return -jax.vmap(jax.grad(self._energy), (0, 0, None))(x, self.stiffness, t)
+
+    def blocks(self, x: Array, t: Array) -> Array:
+        """Hessian of each node (n, 3, 3) in N/m."""
+        return jax.vmap(jax.hessian(self._energy), (0, 0, None))(x, self.stiffness, t)

@@ -1,0 +1,119 @@
+"""Dissipation: isotropic drag (24) and dashpots along the edges (25).
+
+In an implicit step rates are differences over the step history. The central dashpot takes the rate
+of its *length* from that history, $\\dot\\ell = (\\ell(x) + \\sum_j \\alpha_j \\ell(x_j))/(\\beta h)$: a rigid rotation
+then produces no force at any step size, and the tangent is symmetric, neither of which holds for
+$\\hat r \\cdot v$ with $v$ from the same formula (both agree to the order of the method).
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxcrumple.model.geometry import Vec, add, dot, gather, length, outer, scale, sub
+from jaxcrumple.model.membrane import edge_blocks, edge_force
+from jaxcrumple.model.stencil import scatter
+
+
+class Drag(eqx.Module):
+    """Isotropic drag $F_i = -b_{iso} v_i$ (eq. 24); `coefficient` (n,) in kg/s."""
+
+    coefficient: Array
+
+    def force(self, v: Array) -> Array:
+        """Nodal forces (n, 3) in N at velocities `v` (n, 3)."""
+        return -self.coefficient[:, None] * v
+
+
+class CentralDashpot(eqx.Module):
+    """Dashpots that resist the rate of change of edge lengths: always dissipative.
+
+    **Arguments:** `nodes` (e, 2); `coefficient` (e,) $b_{int}$ in kg/s.
+    """
+
+    nodes: Array
+    coefficient: Array
+
+    def force(self, x: Array, v: Array) -> Array:
+        """Nodal forces (n, 3) in N: $-b\\, J^T J v$, $J = \\partial\\ell/\\partial x$."""
+        r, u = _edge_vectors(x, v, self.nodes)
+        return edge_force(self.nodes, r, self.coefficient * dot(r, u) / dot(r, r), x.shape[0])
+
+    def memory(self, past: Array, alpha: Array) -> Array:
+        """History part (e,) of the length rate: $\\sum_j \\alpha_j \\ell(x_j)$; `past` (s, n, 3), `alpha` (s,)."""
+        lengths = jax.vmap(lambda x: _edge_length(x, self.nodes))(past)
+        return alpha @ lengths
+
+    def _rate(self, x: Array, memory: Array, beta_h: Array) -> tuple[Vec, Array, Array]:
+        xi, xj = gather(x, self.nodes)
+        r = sub(xi, xj)
+        edge = length(r)
+        return r, edge, (edge + memory) / beta_h
+
+    def step_force(self, x: Array, v: Array, memory: Array, beta_h: Array) -> Array:
+        """Nodal forces (n, 3) of an implicit step."""
+        r, edge, rate = self._rate(x, memory, beta_h)
+        return edge_force(self.nodes, r, self.coefficient * rate / edge, x.shape[0])
+
+    def step_blocks(self, x: Array, v: Array, memory: Array, beta_h: Array) -> Array:
+        """Element tangents (3, 3, 3, e) of `step_force`, sign reversed."""
+        r, edge, rate = self._rate(x, memory, beta_h)
+        return edge_blocks(r, self.coefficient / beta_h, self.coefficient * rate / edge)
+
+
+class PaperDashpot(eqx.Module):
+    """The paper's internal damping $-b_{int}\\, d(r - s\\hat r)/dt$ (eq. 25).
+
+    Not a central force: its transverse coefficient $b (1 - s/r)$ is negative in compressed springs.
+
+    **Arguments:** `nodes` (e, 2); `coefficient` (e,) in kg/s; `rest_length` (e,) in m.
+    """
+
+    nodes: Array
+    coefficient: Array
+    rest_length: Array
+
+    def force(self, x: Array, v: Array) -> Array:
+        """Nodal forces (n, 3) in N (A.5)."""
+        r, u = _edge_vectors(x, v, self.nodes)
+        pull = paper_dashpot_force(r, u, self.coefficient, self.rest_length)
+        return scatter(self.nodes, (pull, scale(-1.0, pull)), x.shape[0])
+
+    def memory(self, past: Array, alpha: Array) -> None:
+        """This form needs no history: it uses the velocity itself."""
+        return None
+
+    def step_force(self, x: Array, v: Array, memory: None, beta_h: Array) -> Array:
+        """Nodal forces (n, 3) of an implicit step."""
+        return self.force(x, v)
+
+    def step_blocks(self, x: Array, v: Array, memory: None, beta_h: Array) -> Array:
+        """Element tangents (3, 3, 3, e): (A.6) and, through $dv/dx = 1/(\\beta h)$, (A.7)."""
+        r, u = _edge_vectors(x, v, self.nodes)
+        edge = length(r)
+        ru, inv = dot(r, u), 1.0 / (edge * edge)
+        identity = jnp.eye(3)[:, :, None]
+        turn = outer(r, u) + outer(u, r) - 3.0 * ru * inv * outer(r, r) + ru * identity
+        by_x = self.coefficient * self.rest_length * inv / edge * turn
+        bend = 1.0 - self.rest_length / edge
+        by_v = self.coefficient * (bend * identity + (self.rest_length / edge * inv) * outer(r, r))
+        block = by_x + by_v / beta_h
+        return jnp.stack([block, -block, block])
+
+
+def paper_dashpot_force(r: Vec, u: Vec, coefficient: Array, rest_length: Array) -> Vec:
+    """Force on node i of an edge $r = x_i - x_j$ with relative velocity $u = v_i - v_j$ (eq. 25)."""
+    edge = length(r)
+    along = rest_length / edge**3 * dot(r, u)
+    return scale(-coefficient, add(scale(1.0 - rest_length / edge, u), scale(along, r)))
+
+
+def _edge_vectors(x: Array, v: Array, nodes: Array) -> tuple[Vec, Vec]:
+    (xi, xj), (vi, vj) = gather(x, nodes), gather(v, nodes)
+    return sub(xi, xj), sub(vi, vj)
+
+
+def _edge_length(x: Array, nodes: Array) -> Array:
+    xi, xj = gather(x, nodes)
+    return length(sub(xi, xj))

@@ -1,0 +1,74 @@
+"""In-plane elasticity: linear springs along the edges (Section 2.1)."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+
+from jaxcrumple.model.geometry import Vec, dot, gather, length, outer, scale, sub
+from jaxcrumple.model.stencil import scatter
+
+
+def spring_energy(xi: Vec, xj: Vec, stiffness: Array, rest_length: Array) -> Array:
+    """Energy of a spring, $\\frac12 k_s (|x_i - x_j| - s)^2$ (eq. 11), in J."""
+    stretch = length(sub(xi, xj)) - rest_length
+    return 0.5 * stiffness * stretch * stretch
+
+
+def edge_force(nodes: Array, r: Vec, tension_per_length: Array, n: int) -> Array:
+    """Nodal forces (n, 3) of edges that pull with `tension_per_length` times $r = x_i - x_j$."""
+    pull = scale(tension_per_length, r)
+    return scatter(nodes, (scale(-1.0, pull), pull), n)
+
+
+def edge_blocks(r: Vec, axial: Array, tension_per_length: Array) -> Array:
+    """Element Hessians (3, 3, 3, e) of edges: $k\\,\\hat r\\hat r^T + (T/\\ell)(I - \\hat r\\hat r^T)$.
+
+    `axial` is k and `tension_per_length` T/l; the three blocks are those of `upper_pairs(2)`.
+    """
+    rr = outer(r, scale(1.0 / dot(r, r), r))
+    identity = jnp.eye(3).reshape(3, 3, *([1] * axial.ndim))
+    block = (axial - tension_per_length) * rr + tension_per_length * identity
+    return jnp.stack([block, -block, block])
+
+
+class Membrane(eqx.Module):
+    """Springs on all edges.
+
+    **Arguments:**
+
+    - `nodes`: (e, 2) node numbers of the edges.
+    - `stiffness`: (e,) spring constants $k_s$ in N/m.
+    - `rest_length`: (e,) rest lengths $s_{ij}$ in m.
+    """
+
+    nodes: Array
+    stiffness: Array
+    rest_length: Array
+
+    def element_energy(self, x: Array) -> Array:
+        """Energy of each edge (e,) in J at positions `x` (n, 3)."""
+        return spring_energy(*gather(x, self.nodes), self.stiffness, self.rest_length)
+
+    def energy(self, x: Array) -> Array:
+        """Stretching energy in J (eq. 11)."""
+        return jnp.sum(self.element_energy(x))
+
+    def strain(self, x: Array) -> Array:
+        """Engineering strain of each edge (e,)."""
+        xi, xj = gather(x, self.nodes)
+        return length(sub(xi, xj)) / self.rest_length - 1.0
+
+    def _edges(self, x: Array) -> tuple[Vec, Array]:
+        xi, xj = gather(x, self.nodes)
+        r = sub(xi, xj)
+        return r, self.stiffness * (1.0 - self.rest_length / length(r))
+
+    def force(self, x: Array) -> Array:
+        """Nodal forces (n, 3) in N, closed form of minus the gradient of `energy` (A.1)."""
+        r, tension_per_length = self._edges(x)
+        return edge_force(self.nodes, r, tension_per_length, x.shape[0])
+
+    def blocks(self, x: Array) -> Array:
+        """Element Hessians (3, 3, 3, e) in N/m (A.3)."""
+        r, tension_per_length = self._edges(x)
+        return edge_blocks(r, self.stiffness, tension_per_length)

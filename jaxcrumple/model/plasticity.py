@@ -1,0 +1,98 @@
+"""Plastic flow of the rest curvature (eqs. 34-36)."""
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+# The safeguarded Newton iteration for one hinge bisects at worst, so it needs at most ~50.
+MAX_ITERATIONS = 60
+
+
+class AbstractFlowRule(eqx.Module):
+    """A yield law: dp/dt as a function of the curvature c and the rest curvature p.
+
+    `rate` must have the sign of c - p (or vanish) and not decrease with c - p; it may depend on
+    per-hinge parameters held as array fields. That is all the solvers ask of a law of your own.
+    """
+
+    @abc.abstractmethod
+    def rate(self, c: Array, p: Array) -> Array:
+        """dp/dt in 1/s for curvatures `c` and rest curvatures `p`, both (h,)."""
+
+
+class SmoothstepFlow(AbstractFlowRule):
+    """The paper's law with an explicit time scale.
+
+    $\\dot p = \\mathrm{sign}(c-p)\\, S((|c-p| - c_0)/(2 - c_0)) / (T (1 + \\gamma))$ with the smoothstep S.
+    The paper has no T (its rate has no unit); gamma and T act only as $T(1+\\gamma)$.
+
+    **Arguments:** `yield_curvature` (h,) dimensionless $c_0 < 2$; `time` T in s; `gamma` >= 0.
+    """
+
+    yield_curvature: Array
+    time: Array
+    gamma: Array
+
+    def rate(self, c: Array, p: Array) -> Array:
+        """dp/dt in 1/s (eqs. 34-36)."""
+        elastic = c - p
+        excess = (jnp.abs(elastic) - self.yield_curvature) / (2.0 - self.yield_curvature)
+        return jnp.sign(elastic) * smoothstep(excess) / (self.time * (1.0 + self.gamma))
+
+
+def smoothstep(u: Array) -> Array:
+    """$6u^5 - 15u^4 + 10u^3$, clamped to [0, 1] (eq. 36)."""
+    u = jnp.clip(u, 0.0, 1.0)
+    return u * u * u * (10.0 + u * (6.0 * u - 15.0))
+
+
+def implicit_update(
+    rule: AbstractFlowRule, c: Array, memory: Array, beta_h: Array
+) -> tuple[Array, Array]:
+    """Rest curvature of an implicit step and its slope dp/dc.
+
+    Solves $p - p_* - \\beta h\\, \\dot p(c, p) = 0$ hinge by hinge (eq. 48), $p_* = -\\sum_j \\alpha_j p_j$ given
+    by `memory` $= \\sum_j \\alpha_j p_j$. The left side grows with p and the root lies between $p_*$ and c, so
+    Newton safeguarded by bisection always succeeds.
+
+    **Returns:** `p` (h,) and `dp/dc` (h,) in [0, 1).
+    """
+    start = -memory
+
+    def mismatch(p: Array, c: Array) -> Array:
+        return p - start - beta_h * rule.rate(c, p)
+
+    def slopes(p: Array, c: Array) -> tuple[Array, Array, Array]:
+        by_p = jax.jvp(lambda p: rule.rate(c, p), (p,), (jnp.ones_like(p),))[1]
+        by_c = jax.jvp(lambda c: rule.rate(c, p), (c,), (jnp.ones_like(c),))[1]
+        return mismatch(p, c), 1.0 - beta_h * by_p, beta_h * by_c
+
+    frozen_c = jax.lax.stop_gradient(c)
+    root = jax.lax.stop_gradient(_bracketed_root(lambda p: slopes(p, frozen_c)[:2], start, frozen_c))
+    value, by_p, by_c = slopes(root, c)
+    # One last Newton step costs nothing and carries the derivatives of the root.
+    return root - value / by_p, by_c / by_p
+
+
+def _bracketed_root(function, start: Array, end: Array) -> Array:
+    """Root of an increasing function between `start` and `end`, elementwise."""
+
+    def body(carry):
+        p, low, high, _, count = carry
+        value, slope = function(p)
+        low, high = jnp.where(value < 0, p, low), jnp.where(value > 0, p, high)
+        newton = p - value / slope
+        inside = (newton >= low) & (newton <= high)
+        new = jnp.where(inside, newton, 0.5 * (low + high))
+        new = jnp.where(value == 0, p, new)
+        return new, low, high, jnp.max(jnp.abs(new - p)), count + 1
+
+    def unfinished(carry):
+        return (carry[3] > 1e-14) & (carry[4] < MAX_ITERATIONS)
+
+    low, high = jnp.minimum(start, end), jnp.maximum(start, end)
+    init = (start, low, high, jnp.asarray(jnp.inf, start.dtype), 0)
+    return jax.lax.while_loop(unfinished, body, init)[0]

@@ -1,0 +1,154 @@
+"""Scene: everything the equations of motion contain, and what one differentiates."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxcrumple.material import Material
+from jaxcrumple.mesh import Mesh
+from jaxcrumple.model.bending import Bending
+from jaxcrumple.model.confinement import AbstractShape, Wall
+from jaxcrumple.model.damping import CentralDashpot, Drag, PaperDashpot
+from jaxcrumple.model.loads import ElementEnergy, Gravity, Prescribed
+from jaxcrumple.model.membrane import Membrane
+from jaxcrumple.model.pattern import Pattern, build_pattern
+from jaxcrumple.model.plasticity import AbstractFlowRule, SmoothstepFlow
+
+# Wall stiffness as a share of the mean spring constant, for a sheet of WALL_NODES nodes.
+WALL_SHARE = 0.05
+WALL_NODES = 3000
+
+
+class Scene(eqx.Module):
+    """A sheet, its surroundings and its scales. Terms that are None cost nothing.
+
+    - `mass` (n,) kg; `area` m2; `reference_acceleration` m/s2: $a_{ref} = k_s/(m\\lambda)$;
+      `velocity_scale` m/s weighs velocities in the explicit stage's error test.
+    - `membrane`, `bending`: always present. `plasticity`, `drag`, `damping`, `gravity`,
+      `prescribed`: or None. `walls`, `extra`: tuples, possibly empty.
+    - `pattern`: where the tangent's entries are.
+    """
+
+    mass: Array
+    area: Array
+    reference_acceleration: Array
+    velocity_scale: Array
+    membrane: Membrane
+    bending: Bending
+    plasticity: AbstractFlowRule | None
+    drag: Drag | None
+    damping: CentralDashpot | PaperDashpot | None
+    walls: tuple[Wall, ...]
+    gravity: Gravity | None
+    prescribed: Prescribed | None
+    extra: tuple[ElementEnergy, ...]
+    pattern: Pattern
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes."""
+        return self.mass.shape[0]
+
+    @property
+    def length_scale(self) -> Array:
+        """$\\sqrt A$ in m: the unit of the position error."""
+        return jnp.sqrt(self.area)
+
+    def rest_curvature(self, p: Array | None) -> Array:
+        """The state's rest curvature, or the undamaged one of an elastic scene."""
+        return self.bending.rest_curvature if p is None else p
+
+
+def sheet(
+    mesh: Mesh,
+    material: Material,
+    *,
+    walls: Sequence[Wall | AbstractShape] = (),
+    gravity: Sequence[float] | None = None,
+    prescribed: Prescribed | None = None,
+    extra: Sequence[ElementEnergy] = (),
+    plasticity: AbstractFlowRule | None = None,
+    damping: str = "central",
+) -> Scene:
+    """Scene of one sheet.
+
+    **Arguments:**
+
+    - `mesh`, `material`: the sheet.
+    - `walls`: `Wall`s, or bare shapes, which get the default stiffness (0.05 ks at n = 3000, scaled
+      with node area) and range ($h_{eff}$).
+    - `gravity`: acceleration (3,) in m/s2, or None.
+    - `prescribed`, `extra`: supports and energies of your own.
+    - `plasticity`: a flow rule of your own in place of the material's.
+    - `damping`: "central" (default) or "paper" (eq. 25).
+
+    **Returns:** a `Scene`. **Raises:** ValueError when x64 is off or an option is unknown.
+    """
+    _require_x64()
+    if damping not in ("central", "paper"):
+        raise ValueError(f"damping={damping!r} is unknown; choose 'central' or 'paper'.")
+    constants = material.discretize(mesh)
+    edges, hinges = jnp.asarray(mesh.edges), jnp.asarray(mesh.hinges)
+    mass = jnp.asarray(constants.mass)
+    b_int = jnp.asarray(constants.b_int)
+    rest_length = jnp.asarray(mesh.edge_length)
+    if not np.any(constants.b_int):
+        dashpot = None
+    elif damping == "central":
+        dashpot = CentralDashpot(edges, b_int)
+    else:
+        dashpot = PaperDashpot(edges, b_int, rest_length)
+    if plasticity is None and constants.c0 is not None:
+        c0 = jnp.asarray(constants.c0)
+        plasticity = SmoothstepFlow(c0, jnp.asarray(constants.plastic_time), jnp.asarray(constants.gamma))
+    stencils = [mesh.edges, mesh.hinges, *(np.asarray(e.nodes) for e in extra)]
+    return Scene(
+        mass=mass,
+        area=jnp.asarray(mesh.area),
+        reference_acceleration=jnp.asarray(constants.a_ref),
+        velocity_scale=_velocity_scale(mesh, material),
+        membrane=Membrane(edges, jnp.asarray(constants.ks), rest_length),
+        bending=Bending(
+            hinges,
+            jnp.asarray(constants.kb * mesh.hinge_weight),
+            jnp.asarray(mesh.rest_curvature),
+        ),
+        plasticity=plasticity,
+        drag=Drag(jnp.asarray(constants.drag)) if np.any(constants.drag) else None,
+        damping=dashpot,
+        walls=tuple(_wall(w, mesh, constants) for w in walls),
+        gravity=None if gravity is None else Gravity(jnp.asarray(gravity, float), mass),
+        prescribed=prescribed,
+        extra=tuple(extra),
+        pattern=build_pattern(mesh.n_nodes, stencils),
+    )
+
+
+def _wall(wall: Wall | AbstractShape, mesh: Mesh, constants) -> Wall:
+    if isinstance(wall, Wall):
+        return wall
+    share = WALL_SHARE * float(np.mean(constants.ks)) * WALL_NODES / mesh.area
+    return Wall(wall, jnp.asarray(share * mesh.node_area), jnp.asarray(constants.sigma))
+
+
+def _velocity_scale(mesh: Mesh, material: Material) -> Array:
+    """Velocity whose error counts like a position error of the sheet's size.
+
+    A velocity error moves a node by that error over the drag rate before drag removes it; without
+    drag the speed of sound in the sheet stands in.
+    """
+    sound = np.sqrt(material.young_modulus / material.density)
+    scale = np.sqrt(mesh.area) * material.drag_rate if material.drag_rate > 0 else sound
+    return jnp.asarray(scale)
+
+
+def _require_x64() -> None:
+    if not jax.config.jax_enable_x64:
+        raise ValueError(
+            "jaxcrumple needs float64: forces nearly cancel and float32 loses them. "
+            'Call jax.config.update("jax_enable_x64", True) before you build a scene.'
+        )

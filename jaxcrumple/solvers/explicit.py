@@ -1,0 +1,162 @@
+"""One step of the dynamic stage: eq. (1) with plastic flow by an explicit 4(3) Runge-Kutta pair."""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxcrumple.model.geometry import gather, hinge_gradient, length, outer, sub
+from jaxcrumple.model.scene import Scene
+from jaxcrumple.system import CAUSES, State, rates
+
+# Stability of the method on the imaginary axis (2.83) and on the negative real axis (2.79).
+STABILITY = 2.75
+# Local error of the embedded third-order solution is of the fourth power of the step.
+ERROR_ORDER = 4
+
+
+class RK43(diffrax.AbstractERK):
+    """Kutta's 3/8 rule (order 4) with an embedded third-order method on an extra, reused stage."""
+
+    tableau = diffrax.ButcherTableau(
+        c=np.array([1 / 3, 2 / 3, 1.0, 1.0]),
+        a_lower=(
+            np.array([1 / 3]),
+            np.array([-1 / 3, 1.0]),
+            np.array([1.0, -1.0, 1.0]),
+            np.array([1 / 8, 3 / 8, 3 / 8, 1 / 8]),
+        ),
+        b_sol=np.array([1 / 8, 3 / 8, 3 / 8, 1 / 8, 0.0]),
+        b_error=np.array([1 / 8 - 1 / 12, 3 / 8 - 1 / 2, 3 / 8 - 1 / 4, 1 / 8, -1 / 6]),
+    )
+    interpolation_cls = diffrax.ThirdOrderHermitePolynomialInterpolation.from_k
+
+    def order(self, terms) -> int:
+        """Order of the solution."""
+        return 4
+
+
+class Explicit(eqx.Module):
+    """Options of the explicit stage.
+
+    - `rtol`: tolerance in maximum norm: positions over $\\sqrt A$, p over 2, velocities over
+      `Scene.velocity_scale`.
+    - `safety`: share of the estimated stability limit that a step may take.
+    """
+
+    rtol: Array
+    safety: Array = eqx.field(default=0.8, converter=jnp.asarray)
+
+
+class Attempt(NamedTuple):
+    """A tried step: new `x`, `v`, `p`, the `acceleration` there (n, 3), its `error` in units of the
+    tolerance, the step to try next, and the stage handed on. `cause` is an index into `CAUSES`, or
+    -1 when the step is accepted."""
+
+    x: Array
+    v: Array
+    p: Array | None
+    acceleration: Array
+    error: Array
+    cause: Array
+    next_h: Array
+    stages: Any
+
+    @property
+    def accepted(self) -> Array:
+        """Whether the step stands."""
+        return self.cause < 0
+
+
+def stability_limit(scene: Scene, x: Array) -> Array:
+    """Largest stable explicit step in s at positions `x`, from element-wise eigenvalue bounds.
+
+    For a spring $(\\hat r\\cdot(u_i - u_j))^2 \\le 2(\\hat r\\cdot u_i)^2 + 2(\\hat r\\cdot u_j)^2$, and
+    for a hinge the factor is 4, so twice (four times) the nodes' own blocks bound the spectrum; on
+    the hexagonal lattice the spring bound is sharp ($6 k_s/m$). Damping enters as $\\omega^2
+    b_{int}/k_s + b_{iso}/m$, the largest decay rate.
+    """
+    omega_sq = jnp.max(jnp.linalg.eigvalsh(_stiffness_bound(scene, x))[:, -1] / scene.mass)
+    decay = jnp.zeros(())
+    if scene.damping is not None:
+        decay = decay + omega_sq * jnp.max(scene.damping.coefficient / scene.membrane.stiffness)
+    if scene.drag is not None:
+        decay = decay + jnp.max(scene.drag.coefficient / scene.mass)
+    return STABILITY / jnp.maximum(jnp.sqrt(omega_sq), decay)
+
+
+def _stiffness_bound(scene: Scene, x: Array) -> Array:
+    """Node blocks (n, 3, 3) in N/m whose largest eigenvalue over m bounds omega^2."""
+    bound = jnp.zeros((x.shape[0], 3, 3))
+    xi, xj = gather(x, scene.membrane.nodes)
+    r = sub(xi, xj)
+    spring = 2.0 * scene.membrane.stiffness / length(r) ** 2 * outer(r, r)
+    for k in range(2):
+        bound = bound.at[scene.membrane.nodes[:, k]].add(jnp.moveaxis(spring, -1, 0))
+    gradient = hinge_gradient(scene.bending.hinges(x))
+    for k, g in enumerate((gradient.g0, gradient.g1, gradient.g2, gradient.g3)):
+        block = 4.0 * scene.bending.stiffness * outer(g, g)
+        bound = bound.at[scene.bending.nodes[:, k]].add(jnp.moveaxis(block, -1, 0))
+    for wall in scene.walls:
+        bound = bound + 2.0 * wall.stiffness[:, None, None] * jnp.eye(3)
+    return bound
+
+
+def _field(t, y, scene: Scene):
+    x, v, p = y
+    return rates(scene, x, v, p, t)
+
+
+_TERM = diffrax.ODETerm(_field)
+_SOLVER = RK43()
+
+
+def _controller(scene: Scene, options: Explicit, cap: Array) -> diffrax.PIDController:
+    norm = partial(_error_norm, scene, options)
+    return diffrax.PIDController(rtol=0.0, atol=1.0, norm=norm, dtmax=cap)
+
+
+def _error_norm(scene: Scene, options: Explicit, error) -> Array:
+    """Error (x, v, p) in units of the tolerance."""
+    x, v, p = error
+    parts = [jnp.max(jnp.abs(x)) / scene.length_scale, jnp.max(jnp.abs(v)) / scene.velocity_scale]
+    if p is not None:
+        parts.append(0.5 * jnp.max(jnp.abs(p)))
+    return jnp.max(jnp.stack(parts)) / options.rtol
+
+
+def first_stages(scene: Scene, state: State):
+    """The stage that a step hands to the next, for a step that has none before it."""
+    y = (state.x, state.v, state.p)
+    return _SOLVER.init(_TERM, state.t, state.t + state.h_explicit, y, scene)
+
+
+def attempt(
+    scene: Scene, state: State, h: Array, cap: Array, stages, fresh: Array, options: Explicit
+) -> Attempt:
+    """Try an explicit step of size `h`; `fresh` says that `stages` must be computed anew."""
+    y0 = (state.x, state.v, state.p)
+    t1 = state.t + h
+    y1, error, _, stages, _ = _SOLVER.step(_TERM, state.t, t1, y0, scene, stages, fresh)
+    controller = _controller(scene, options, cap)
+    finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(y1)]))
+    # An integral controller keeps no memory, so its state starts afresh with every step.
+    _, memory = controller.init(_TERM, state.t, t1, y0, h, scene, _field, ERROR_ORDER)
+    keep, next_t0, next_t1, _, _, _ = controller.adapt_step_size(
+        state.t, t1, y0, y1, scene, error, ERROR_ORDER, memory
+    )
+    next_h = jnp.where(finite, next_t1 - next_t0, 0.25 * h)
+    cause = jnp.where(finite, CAUSES.index("error"), CAUSES.index("nonfinite"))
+    cause = jnp.where(keep & finite, -1, cause)
+    x, v, p = y1
+    if scene.prescribed is not None:
+        x, v = scene.prescribed.position(x, t1), scene.prescribed.velocity(v, t1)
+    # The stage handed on is the derivative at the new point: the acceleration comes for free.
+    _, (_, acceleration, _) = stages
+    units = _error_norm(scene, options, error)
+    return Attempt(x, v, p, acceleration, units, cause, next_h, stages)

@@ -1,0 +1,80 @@
+"""Linear solvers for the symmetric tangent, behind one interface usable inside jit.
+
+A solver is a set of options. `start` prepares a workspace for one pattern, `factor` renews it for
+new values and counts the negative eigenvalues when it can (-1: not known), `solve` applies it.
+"""
+
+import abc
+import importlib.util
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+
+from jaxcrumple.model.pattern import Pattern
+
+
+class Factor(NamedTuple):
+    """A prepared matrix: its `values` (nnz,), a solver's own `workspace`, `negative` eigenvalues."""
+
+    values: Array
+    workspace: Any
+    negative: Array
+
+
+class Solution(NamedTuple):
+    """`x` (3n,), `iterations` spent, and whether the matrix showed negative curvature."""
+
+    x: Array
+    iterations: Array
+    indefinite: Array
+
+
+class AbstractLinearSolver(eqx.Module):
+    """Contract of a linear solver."""
+
+    @abc.abstractmethod
+    def start(self, pattern: Pattern) -> Factor:
+        """A workspace of the right structure, holding the identity."""
+
+    @abc.abstractmethod
+    def factor(self, pattern: Pattern, values: Array, previous: Factor) -> Factor:
+        """Prepare new `values`."""
+
+    @abc.abstractmethod
+    def solve(self, pattern: Pattern, factor: Factor, rhs: Array) -> Solution:
+        """Solve A x = `rhs` (3n,)."""
+
+
+def identity_values(pattern: Pattern) -> Array:
+    """Values of the identity matrix."""
+    return jnp.zeros(pattern.nnz).at[pattern.diagonal].set(1.0)
+
+
+def direct_available() -> bool:
+    """Whether the sparse direct solver's extra is installed."""
+    return importlib.util.find_spec("pardiso_mkl_jax") is not None
+
+
+def choose_linear_solver(name: str) -> AbstractLinearSolver:
+    """Linear solver by name.
+
+    **Arguments:** `name`: "direct" (sparse Cholesky-like factor with inertia; needs the extra
+    `direct`), "block-cg" (the paper's), or "auto": direct where it is installed.
+
+    **Raises:** ValueError for an unknown name or a missing extra.
+    """
+    from jaxcrumple.solvers.block_cg import BlockCG
+    from jaxcrumple.solvers.direct import Direct
+
+    if name not in ("auto", "direct", "block-cg"):
+        raise ValueError(f"linear solver {name!r} is unknown; choose auto, direct or block-cg.")
+    if name == "direct" and not direct_available():
+        raise ValueError(
+            "the direct solver needs the extra: pip install 'jaxcrumple[direct]' "
+            "(x86-64 Linux); or choose linear solver block-cg."
+        )
+    if name == "block-cg" or not direct_available():
+        return BlockCG()
+    return Direct()

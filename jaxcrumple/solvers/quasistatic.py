@@ -1,0 +1,132 @@
+"""One step of the quasistatic stage: the DAE (47)-(49) by variable-step BDF with an embedded error."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+
+from jaxcrumple.model.scene import Scene
+from jaxcrumple.solvers.bdf import coefficients, extrapolation, push
+from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
+from jaxcrumple.solvers.newton import newton
+from jaxcrumple.system import CAUSES, HISTORY, History, State, implicit_step, residual
+
+# Largest growth of the step after a step of order 1 ... 4: below what variable-step BDF tolerates
+# without losing zero-stability (1.62 and 1.28 at orders 3 and 4).
+GROWTH = (2.0, 2.0, 1.5, 1.25)
+
+
+class Quasistatic(eqx.Module):
+    """Options of the quasistatic stage.
+
+    - `rtol`: tolerance on the local error in maximum norm: positions over $\\sqrt A$, p over 2.
+    - `max_order`: 3 or 4: the step is taken with this order and its error is estimated with the order
+      below (the paper's pair is 4 and 3).
+    - `newton_share`: Newton's error as a share of the tolerance.
+    - `max_iterations`: Newton iterations before a step is rejected.
+    - `linear`: the linear solver.
+    """
+
+    rtol: Array
+    linear: AbstractLinearSolver
+    newton_share: Array = eqx.field(default=0.01, converter=jnp.asarray)
+    max_order: int = eqx.field(static=True, default=4)
+    max_iterations: int = eqx.field(static=True, default=8)
+
+
+class Attempt(NamedTuple):
+    """A tried step: new `x`, `v`, `p`, its `error` in units of the tolerance and what it took.
+
+    `cause` indexes `CAUSES`, or is -1 when the step is accepted.
+    """
+
+    x: Array
+    v: Array
+    p: Array | None
+    error: Array
+    cause: Array
+    order: Array
+    factor: Factor
+    newton: Array
+    linear: Array
+
+    @property
+    def accepted(self) -> Array:
+        """Whether the step stands."""
+        return self.cause < 0
+
+
+def attempt(scene: Scene, state: State, h: Array, options: Quasistatic, factor: Factor) -> Attempt:
+    """Try a quasistatic step of size `h`."""
+    history = state.history
+    order = jnp.minimum(history.count, options.max_order)
+    alpha, beta_h = coefficients(h, history.steps, order)
+    step = implicit_step(scene, history, alpha, beta_h, state.t + h)
+    guess = jnp.tensordot(extrapolation(h, history.steps, history.count), history.x, 1)
+    if scene.prescribed is not None:
+        guess = scene.prescribed.position(guess, step.t)
+    tolerance = options.rtol * scene.length_scale
+    solution = newton(
+        scene, step, guess, options.linear, factor, options.newton_share * tolerance, options.max_iterations
+    )  # fmt: skip
+    v = step.velocity(solution.x)
+    _, p = residual(scene, step, solution.x)
+    error = _error(scene, state, h, order, solution.x, p, solution.factor, options)
+    cause = _cause(scene, state, solution, error)
+    linear = solution.linear + 1
+    return Attempt(solution.x, v, p, error, cause, order, solution.factor, solution.iterations, linear)
+
+
+def _error(scene: Scene, state: State, h, order, x, p, factor: Factor, options: Quasistatic) -> Array:
+    """Local error over the tolerance: the distance to the solution of the order below.
+
+    That solution is one linearised solve away: its residual at the new x, and the factor at hand. At
+    order 1 the comparison is with the explicit Euler step, which starts no history.
+    """
+    lower = jnp.maximum(order - 1, 1)
+    alpha, beta_h = coefficients(h, state.history.steps, lower)
+    step = implicit_step(scene, state.history, alpha, beta_h, state.t + h)
+    value, _ = residual(scene, step, x)
+    correction = options.linear.solve(scene.pattern, factor, -value.reshape(-1)).x.reshape(x.shape)
+    euler = 0.5 * (x - state.x - h * state.v)
+    first = order == 1
+    position = jnp.max(jnp.abs(jnp.where(first, euler, correction))) / scene.length_scale
+    if p is None:
+        return position / options.rtol
+    _, p_lower = residual(scene, step, x + correction)
+    rest = jnp.where(first, 0.5 * (p - state.p), p_lower - p)
+    return jnp.maximum(position, 0.5 * jnp.max(jnp.abs(rest))) / options.rtol
+
+
+def _cause(scene: Scene, state: State, solution, error: Array) -> Array:
+    """Index into `CAUSES` of what forbids the step, or -1."""
+    before = scene.bending.hinges(state.x).theta
+    after = scene.bending.hinges(solution.x).theta
+    finite = jnp.all(jnp.isfinite(solution.x)) & jnp.isfinite(error)
+    # An angle that passes 180 degrees reappears with the other sign: it jumps by more than pi.
+    flipped = jnp.max(jnp.abs(after - before)) > jnp.pi
+    checks = {
+        "nonfinite": ~finite,
+        "newton": ~solution.converged,
+        "unstable": solution.indefinite,
+        "fold": flipped,
+        "error": error > 1.0,
+    }
+    cause = jnp.asarray(-1)
+    for name in reversed(checks):
+        cause = jnp.where(checks[name], CAUSES.index(name), cause)
+    # An indefinite matrix explains a failed iteration better than the failure itself.
+    return jnp.where(finite & solution.indefinite, CAUSES.index("unstable"), cause)
+
+
+def next_step(tried: Attempt, h: Array) -> Array:
+    """Step size after an attempt: from the error if it was judged by it, else a fixed cut."""
+    exponent = -1.0 / jnp.maximum(tried.order, 2)
+    by_error = 0.9 * jnp.maximum(tried.error, 1e-10) ** exponent
+    growth = jnp.asarray(GROWTH)[tried.order - 1]
+    accepted = jnp.clip(by_error, 0.2, growth)
+    rejected = jnp.where(tried.cause == CAUSES.index("error"), jnp.clip(by_error, 0.1, 0.8), 0.4)
+    return h * jnp.where(tried.accepted, accepted, rejected)
+
+

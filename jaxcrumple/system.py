@@ -1,0 +1,308 @@
+"""The equations of motion: state, energies, forces, and the residual of an implicit step."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import scipy.sparse as sparse
+from jax import Array
+
+from jaxcrumple.model.geometry import curvature
+from jaxcrumple.model.plasticity import implicit_update
+from jaxcrumple.model.scene import Scene
+
+# Points the multistep history holds: enough for BDF4 and a cubic predictor.
+HISTORY = 4
+QUASISTATIC, DYNAMIC = 0, 1
+STAGES = ("quasistatic", "dynamic")
+
+
+class RESULTS(eqx.Enumeration):  # type: ignore[misc]
+    """How a run ended."""
+
+    success = "the run reached its end time"
+    budget = "the budget of step attempts was used up before the end time; resume to go on"
+    collapsed = (
+        "the step size fell below what float64 resolves although both stages were tried; the last "
+        "good state is kept. Look at the causes of rejection, and try a smaller rtol or more drag"
+    )
+    nonfinite = (
+        "forces are not finite in the current state; it is kept as it was. Look for zero-length "
+        "edges or a parameter that is NaN"
+    )
+
+
+class History(eqx.Module):
+    """Accepted quasistatic points, newest first.
+
+    `x` (4, n, 3); `p` (4, h) or None; `steps` (4,): `steps[j]` is the time between points j and
+    j+1; `count`: how many points are valid.
+    """
+
+    x: Array
+    p: Array | None
+    steps: Array
+    count: Array
+
+
+class Monitor(eqx.Module):
+    """The acceleration monitor: last ratios a_max/a_ref, steps and time since the stage began."""
+
+    ratios: Array
+    steps: Array
+    since: Array
+
+
+class Counters(eqx.Module):
+    """What has been spent. `rejected` counts by cause in the order of `CAUSES`."""
+
+    quasistatic: Array
+    dynamic: Array
+    rejected: Array
+    newton: Array
+    linear: Array
+    switches: Array
+
+
+CAUSES = ("error", "newton", "unstable", "fold", "nonfinite")
+
+
+class State(eqx.Module):
+    """All that evolves. Fixed structure, so that a checkpoint is the whole State.
+
+    `t` s; `x` (n, 3) m; `v` (n, 3) m/s; `p` (h,) rest curvature or None in an elastic scene; `h`,
+    `h_explicit`: next step of each stage in s; `stage`: `QUASISTATIC` or `DYNAMIC`.
+    """
+
+    t: Array
+    x: Array
+    v: Array
+    p: Array | None
+    h: Array
+    h_explicit: Array
+    stage: Array
+    history: History
+    monitor: Monitor
+    counters: Counters
+    result: RESULTS
+
+
+def initial_state(scene: Scene, x: Array, v: Array | None = None, *, window: int = 5) -> State:
+    """State at t = 0 with positions `x` (n, 3) in m and velocities `v` (n, 3) in m/s (default 0).
+
+    `window` is the number of steps the acceleration monitor averages.
+    """
+    x = jnp.asarray(x, float)
+    if x.shape != (scene.n_nodes, 3) or not np.all(np.isfinite(x)):
+        raise ValueError(f"x must be finite and of shape ({scene.n_nodes}, 3); got shape {x.shape}.")
+    v = jnp.zeros_like(x) if v is None else jnp.asarray(v, float)
+    if v.shape != x.shape or not np.all(np.isfinite(v)):
+        raise ValueError(f"v must be finite and of the shape of x, {x.shape}; got shape {v.shape}.")
+    zero = jnp.asarray(0)
+    p = None if scene.plasticity is None else scene.bending.rest_curvature
+    return State(
+        t=jnp.asarray(0.0),
+        x=x,
+        v=v,
+        p=p,
+        h=jnp.asarray(0.0),
+        h_explicit=jnp.asarray(0.0),
+        stage=jnp.asarray(QUASISTATIC),
+        history=restart_history(x, p),
+        monitor=Monitor(jnp.zeros(window), zero, jnp.asarray(0.0)),
+        counters=Counters(zero, zero, jnp.zeros(len(CAUSES), int), zero, zero, zero),
+        result=RESULTS.success,
+    )
+
+
+def restart_history(x: Array, p: Array | None) -> History:
+    """History that holds the current point alone."""
+
+    def repeat(a: Array) -> Array:
+        return jnp.broadcast_to(a, (HISTORY, *a.shape))
+
+    past = None if p is None else repeat(p)
+    return History(repeat(x), past, jnp.ones(HISTORY), jnp.asarray(1))
+
+
+class Energies(NamedTuple):
+    """Energies by term in J."""
+
+    stretch: Array
+    bending: Array
+    confinement: Array
+    gravity: Array
+    extra: Array
+    kinetic: Array
+
+
+def energies(scene: Scene, x: Array, v: Array, p: Array | None, t: Array) -> Energies:
+    """Energies by term in J; the bending energy is that stored, with rest curvature `p`."""
+    zero = jnp.zeros((), x.dtype)
+    return Energies(
+        stretch=scene.membrane.energy(x),
+        bending=scene.bending.energy(x, scene.rest_curvature(p)),
+        confinement=sum((w.energy(x, t) for w in scene.walls), zero),
+        gravity=zero if scene.gravity is None else scene.gravity.energy(x),
+        extra=sum((e.energy(x, t) for e in scene.extra), zero),
+        kinetic=0.5 * jnp.sum(scene.mass[:, None] * v * v),
+    )
+
+
+def potential_energy(scene: Scene, x: Array, p: Array | None, t: Array) -> Array:
+    """All stored energy in J: the function whose gradient the closed-form forces are held against."""
+    parts = energies(scene, x, jnp.zeros_like(x), p, t)
+    return sum(parts[:-1], jnp.zeros((), x.dtype))
+
+
+def _external_force(scene: Scene, x: Array, t: Array) -> Array:
+    total = scene.membrane.force(x)
+    for wall in scene.walls:
+        total = total + wall.force(x, t)
+    for term in scene.extra:
+        total = total + term.force(x, t)
+    return total if scene.gravity is None else total + scene.gravity.force()
+
+
+def force(scene: Scene, x: Array, v: Array, p: Array | None, t: Array) -> Array:
+    """Net force F(x, v, p, t) on the nodes (n, 3) in N (eq. 2)."""
+    return _force_and_rate(scene, x, v, p, t)[0]
+
+
+def rates(
+    scene: Scene, x: Array, v: Array, p: Array | None, t: Array
+) -> tuple[Array, Array, Array | None]:
+    """Right-hand side of eq. (1) with plastic flow: (dx/dt, dv/dt, dp/dt)."""
+    f, dp = _force_and_rate(scene, x, v, p, t)
+    dx, dv = v, f / scene.mass[:, None]
+    if scene.prescribed is not None:
+        dx = scene.prescribed.velocity(dx, t)
+        dv = scene.prescribed.acceleration(dv, t)
+    return dx, dv, dp
+
+
+def _force_and_rate(scene: Scene, x, v, p, t) -> tuple[Array, Array | None]:
+    hinges = scene.bending.hinges(x)
+    total = _external_force(scene, x, t)
+    total = total + scene.bending.force(hinges, scene.rest_curvature(p), x.shape[0])
+    if scene.drag is not None:
+        total = total + scene.drag.force(v)
+    if scene.damping is not None:
+        total = total + scene.damping.force(x, v)
+    rate = None if scene.plasticity is None else scene.plasticity.rate(curvature(hinges.theta), p)
+    return total, rate
+
+
+class ImplicitStep(eqx.Module):
+    """What an implicit step knows of the past: $\\dot y = (y + \\sum_j \\alpha_j y_j)/(\\beta h)$ (eq. 39).
+
+    `t` the new time; `beta_h` in s; `x_memory` (n, 3), `p_memory` (h,) and `damping_memory` hold
+    $\\sum_j \\alpha_j y_j$.
+    """
+
+    t: Array
+    beta_h: Array
+    x_memory: Array
+    p_memory: Array | None
+    damping_memory: Array | None
+
+    def velocity(self, x: Array) -> Array:
+        """Velocity (n, 3) that the formula gives for new positions `x`."""
+        return (x + self.x_memory) / self.beta_h
+
+
+def implicit_step(scene: Scene, history: History, alpha: Array, beta_h: Array, t: Array) -> ImplicitStep:
+    """The implicit step to time `t` with coefficients `alpha` (4,) over the history."""
+    return ImplicitStep(
+        t=t,
+        beta_h=beta_h,
+        x_memory=jnp.tensordot(alpha, history.x, 1),
+        p_memory=None if history.p is None else alpha @ history.p,
+        damping_memory=None if scene.damping is None else scene.damping.memory(history.x, alpha),
+    )
+
+
+def residual(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array | None]:
+    """Residual -F (n, 3) of the condensed system (51), with v and p eliminated, and the new p.
+
+    The plastic update is solved to rounding hinge by hinge rather than linearised, so Newton's only
+    unknown is x; at the solution this is eqs. (47)-(49).
+    """
+    value, p, _ = _condensed(scene, step, x)
+    return value, p
+
+
+def _condensed(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array | None, Array | None]:
+    hinges = scene.bending.hinges(x)
+    p = softening = None
+    if scene.plasticity is not None:
+        c = curvature(hinges.theta)
+        p, softening = implicit_update(scene.plasticity, c, step.p_memory, step.beta_h)
+    total = _external_force(scene, x, step.t)
+    total = total + scene.bending.force(hinges, scene.rest_curvature(p), x.shape[0])
+    v = step.velocity(x)
+    if scene.drag is not None:
+        total = total + scene.drag.force(v)
+    if scene.damping is not None:
+        total = total + scene.damping.step_force(x, v, step.damping_memory, step.beta_h)
+    value = -total if scene.prescribed is None else scene.prescribed.free(-total)
+    return value, p, softening
+
+
+def linearize(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array]:
+    """Residual (n, 3) and its exact, symmetric tangent: values (nnz,) of `scene.pattern` (eq. 51)."""
+    value, p, softening = _condensed(scene, step, x)
+    edge_blocks = scene.membrane.blocks(x)
+    nodes = jnp.zeros((x.shape[0], 3, 3), x.dtype)
+    if scene.damping is not None:
+        v = step.velocity(x)
+        edge_blocks = edge_blocks + scene.damping.step_blocks(x, v, step.damping_memory, step.beta_h)
+    if scene.drag is not None:
+        nodes = nodes + (scene.drag.coefficient / step.beta_h)[:, None, None] * jnp.eye(3)
+    hinge_blocks = scene.bending.blocks(x, scene.rest_curvature(p), softening)
+    return value, _assemble(scene, x, step.t, edge_blocks, hinge_blocks, nodes)
+
+
+def elastic_tangent(
+    scene: Scene, x: Array, p: Array | None, t: Array, shift: Array | float = 0.0
+) -> Array:
+    """Values (nnz,) of the Hessian of the potential energy plus `shift` times the mass, in N/m."""
+    nodes = (shift * scene.mass)[:, None, None] * jnp.eye(3)
+    hinge_blocks = scene.bending.blocks(x, scene.rest_curvature(p), None)
+    return _assemble(scene, x, t, scene.membrane.blocks(x), hinge_blocks, nodes)
+
+
+def _assemble(scene: Scene, x, t, edge_blocks, hinge_blocks, nodes) -> Array:
+    for wall in scene.walls:
+        nodes = nodes + wall.blocks(x, t)
+    extra = [term.blocks(x, t) for term in scene.extra]
+    values = scene.pattern.assemble([edge_blocks, hinge_blocks, *extra], nodes)
+    return values if scene.prescribed is None else _eliminate(scene, values)
+
+
+def _eliminate(scene: Scene, values: Array) -> Array:
+    """Replace rows and columns of prescribed components by the identity times a typical stiffness."""
+    pattern, mask = scene.pattern, scene.prescribed.mask.reshape(-1)
+    fixed = mask[pattern.rows] | mask[pattern.indices]
+    unit = jnp.where(pattern.rows == pattern.indices, jnp.mean(scene.membrane.stiffness), 0.0)
+    return jnp.where(fixed, unit, values)
+
+
+def tangent(scene: Scene, state: State) -> sparse.csr_array:
+    """Stiffness matrix (3n, 3n) at a state in N/m: the Hessian of the potential energy, p held fixed.
+
+    Rows and columns are numbered 3 * node + component; prescribed components are decoupled.
+    """
+    values = np.asarray(eqx.filter_jit(elastic_tangent)(scene, state.x, state.p, state.t))
+    size = 3 * scene.n_nodes
+    pattern = scene.pattern
+    upper = sparse.csr_array(
+        (values, np.asarray(pattern.indices), np.asarray(pattern.indptr)), shape=(size, size)
+    )
+    return sparse.csr_array(upper + sparse.triu(upper, k=1).T)
+
+
+def mass_matrix(scene: Scene) -> sparse.dia_array:
+    """Lumped mass matrix (3n, 3n) in kg."""
+    return sparse.diags_array(np.repeat(np.asarray(scene.mass), 3))
