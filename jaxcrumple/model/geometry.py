@@ -133,28 +133,22 @@ def hinge_gradient(hg: Hinge) -> HingeGradient:
     return HingeGradient(g0, g1, g2, g3, a1, a2, inv_n1_sq, inv_n2_sq)
 
 
-def _skew(a: Vec) -> Array:
-    """Matrix $[a]_\\times$ with $[a]_\\times b = a \\times b$, shape (3, 3, ...)."""
-    zero = jnp.zeros_like(a[0])
-    return jnp.stack(
-        [
-            jnp.stack([zero, -a[2], a[1]]),
-            jnp.stack([a[2], zero, -a[0]]),
-            jnp.stack([-a[1], a[0], zero]),
-        ]
-    )
+def _symmetric(a: Array, b: Array) -> Array:
+    """$a b^T + b a^T$ of vectors (3, ...), shape (3, 3, ...)."""
+    product = a[:, None] * b[None]
+    return product + jnp.swapaxes(product, 0, 1)
 
 
-def _opposite_jacobians(
-    g: Vec, n: Vec, inv_n_sq: Array, e0: Vec, e: Vec, edge_length: Array, sign: float
-) -> tuple[Array, Array]:
-    """Derivatives of $g = -|e_0| n/|n|^2$, $n = \\pm e_0 \\times e$, by $e_0$ and by $e$."""
-    factor = -edge_length * inv_n_sq * sign
-    # d(n/|n|^2) = (I - 2 n n^T/|n|^2) dn / |n|^2, with dn/de0 = -+[e]x and dn/de = +-[e0]x;
-    # (n n^T)[a]x = n (n x a)^T.
-    by_e0 = factor * (-_skew(e) + (2.0 * inv_n_sq) * outer(n, cross(n, e)))
-    by_e0 = by_e0 + outer(g, scale(1.0 / (edge_length * edge_length), e0))
-    by_e = factor * (_skew(e0) - (2.0 * inv_n_sq) * outer(n, cross(n, e0)))
+def _opposite_jacobians(g: Array, n: Vec, e0: Vec, e: Vec, factor: Array, unit: Array) -> tuple[Array, Array]:
+    """Derivatives by $e_0$ and by $e$ of $g = -|e_0| n/|n|^2$, $n = \\pm e_0 \\times e$.
+
+    `factor` is $\\pm|e_0|/|n|^4$ and `unit` is $e_0/|e_0|^2$. Both follow from
+    $d(n/|n|^2) = (I - 2 n n^T/|n|^2)\\,dn/|n|^2$ with $dn = \\pm(de_0 \\times e + e_0 \\times de)$ and
+    $[e]_\\times = (n t^T - t n^T)/|n|^2$, $t = n \\times e$, which holds because e is normal to n.
+    """
+    normal = jnp.stack(n)
+    by_e0 = -factor * _symmetric(normal, jnp.stack(cross(n, e))) + g[:, None] * unit[None]
+    by_e = factor * _symmetric(normal, jnp.stack(cross(n, e0)))
     return by_e0, by_e
 
 
@@ -168,14 +162,19 @@ def hinge_hessian(hg: Hinge, gr: HingeGradient) -> list[Array]:
     Obtained by differentiating `hinge_gradient` once; rows that involve node 0 follow from
     translation invariance, and block (2, 3) vanishes identically.
     """
-    j20, j21 = _opposite_jacobians(gr.g2, hg.n1, gr.inv_n1_sq, hg.e0, hg.e1, hg.edge_length, 1.0)
-    j30, j32 = _opposite_jacobians(gr.g3, hg.n2, gr.inv_n2_sq, hg.e0, hg.e2, hg.edge_length, -1.0)
+    g2, g3 = jnp.stack(gr.g2), jnp.stack(gr.g3)
+    e0, e1, e2 = jnp.stack(hg.e0), jnp.stack(hg.e1), jnp.stack(hg.e2)
     inv_e0_sq = 1.0 / (hg.edge_length * hg.edge_length)
-    da1 = scale(inv_e0_sq, sub(hg.e1, scale(2.0 * gr.a1, hg.e0)))
-    da2 = scale(inv_e0_sq, sub(hg.e2, scale(2.0 * gr.a2, hg.e0)))
+    unit = inv_e0_sq * e0
+    factor1 = hg.edge_length * gr.inv_n1_sq * gr.inv_n1_sq
+    factor2 = -hg.edge_length * gr.inv_n2_sq * gr.inv_n2_sq
+    j20, j21 = _opposite_jacobians(g2, hg.n1, hg.e0, hg.e1, factor1, unit)
+    j30, j32 = _opposite_jacobians(g3, hg.n2, hg.e0, hg.e2, factor2, unit)
+    da1 = inv_e0_sq * e1 - 2.0 * gr.a1 * unit
+    da2 = inv_e0_sq * e2 - 2.0 * gr.a2 * unit
     h22, h33 = j21, j32
     h12, h13 = jnp.swapaxes(j20, 0, 1), jnp.swapaxes(j30, 0, 1)
-    h11 = -(outer(gr.g2, da1) + gr.a1 * j20 + outer(gr.g3, da2) + gr.a2 * j30)
+    h11 = -(g2[:, None] * da1 + gr.a1 * j20 + g3[:, None] * da2 + gr.a2 * j30)
     h01 = -(h11 + j20 + j30)
     h02, h03 = -(h12 + h22), -(h13 + h33)
     h00 = -(h01 + h02 + h03)

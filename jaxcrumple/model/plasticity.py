@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-# The safeguarded Newton iteration for one hinge bisects at worst, so it needs at most ~50.
-MAX_ITERATIONS = 60
+# Every iteration halves the bracket or the step, so this many always suffice in float64.
+MAX_ITERATIONS = 120
 
 
 class AbstractFlowRule(eqx.Module):
@@ -81,18 +81,20 @@ def _bracketed_root(function, start: Array, end: Array) -> Array:
     """Root of an increasing function between `start` and `end`, elementwise."""
 
     def body(carry):
-        p, low, high, _, count = carry
+        p, low, high, step, count = carry
         value, slope = function(p)
         low, high = jnp.where(value < 0, p, low), jnp.where(value > 0, p, high)
         newton = p - value / slope
-        inside = (newton >= low) & (newton <= high)
-        new = jnp.where(inside, newton, 0.5 * (low + high))
+        # The law is flat below yield, where Newton would jump from one end of the bracket to the
+        # other and back: an accepted Newton step must stay inside and be half the last one at most.
+        good = (newton > low) & (newton < high) & (jnp.abs(newton - p) <= 0.5 * jnp.abs(step))
+        new = jnp.where(good, newton, 0.5 * (low + high))
         new = jnp.where(value == 0, p, new)
-        return new, low, high, jnp.max(jnp.abs(new - p)), count + 1
+        return new, low, high, new - p, count + 1
 
     def unfinished(carry):
-        return (carry[3] > 1e-14) & (carry[4] < MAX_ITERATIONS)
+        return (jnp.max(jnp.abs(carry[3])) > 1e-15) & (carry[4] < MAX_ITERATIONS)
 
     low, high = jnp.minimum(start, end), jnp.maximum(start, end)
-    init = (start, low, high, jnp.asarray(jnp.inf, start.dtype), 0)
+    init = (start, low, high, high - low + 1.0, 0)
     return jax.lax.while_loop(unfinished, body, init)[0]

@@ -75,7 +75,7 @@ def newton(
             update,
             converged & jnp.isfinite(update),
             failed,
-            solution.indefinite,
+            carry.indefinite | solution.indefinite,
         )
 
     def unfinished(carry: _Carry) -> Array:

@@ -16,6 +16,10 @@ from jaxcrumple.system import CAUSES, HISTORY, History, State, implicit_step, re
 # without losing zero-stability (1.62 and 1.28 at orders 3 and 4).
 GROWTH = (2.0, 2.0, 1.5, 1.25)
 
+# Share of the tolerance that one step's local error may use. Buckling amplifies what a step leaves
+# behind about twentyfold; with this share the measured error of a run stays near rtol.
+LOCAL_SHARE = 0.05
+
 
 class Quasistatic(eqx.Module):
     """Options of the quasistatic stage.
@@ -23,14 +27,14 @@ class Quasistatic(eqx.Module):
     - `rtol`: tolerance on the local error in maximum norm: positions over $\\sqrt A$, p over 2.
     - `max_order`: 3 or 4: the step is taken with this order and its error is estimated with the order
       below (the paper's pair is 4 and 3).
-    - `newton_share`: Newton's error as a share of the tolerance.
+    - `newton_share`: Newton's error as a share of what a step may leave.
     - `max_iterations`: Newton iterations before a step is rejected.
     - `linear`: the linear solver.
     """
 
     rtol: Array
     linear: AbstractLinearSolver
-    newton_share: Array = eqx.field(default=0.01, converter=jnp.asarray)
+    newton_share: Array = eqx.field(default=0.05, converter=jnp.asarray)
     max_order: int = eqx.field(static=True, default=4)
     max_iterations: int = eqx.field(static=True, default=8)
 
@@ -66,7 +70,7 @@ def attempt(scene: Scene, state: State, h: Array, options: Quasistatic, factor: 
     guess = jnp.tensordot(extrapolation(h, history.steps, history.count), history.x, 1)
     if scene.prescribed is not None:
         guess = scene.prescribed.position(guess, step.t)
-    tolerance = options.rtol * scene.length_scale
+    tolerance = LOCAL_SHARE * options.rtol * scene.length_scale
     solution = newton(
         scene, step, guess, options.linear, factor, options.newton_share * tolerance, options.max_iterations
     )  # fmt: skip
@@ -93,10 +97,10 @@ def _error(scene: Scene, state: State, h, order, x, p, factor: Factor, options: 
     first = order == 1
     position = jnp.max(jnp.abs(jnp.where(first, euler, correction))) / scene.length_scale
     if p is None:
-        return position / options.rtol
+        return position / (LOCAL_SHARE * options.rtol)
     _, p_lower = residual(scene, step, x + correction)
     rest = jnp.where(first, 0.5 * (p - state.p), p_lower - p)
-    return jnp.maximum(position, 0.5 * jnp.max(jnp.abs(rest))) / options.rtol
+    return jnp.maximum(position, 0.5 * jnp.max(jnp.abs(rest))) / (LOCAL_SHARE * options.rtol)
 
 
 def _cause(scene: Scene, state: State, solution, error: Array) -> Array:

@@ -1,0 +1,22 @@
+"""Files: the folder of a run, its checkpoint, the film for ParaView, and reading it all back."""
+
+from jaxcrumple.io.atomic import RunDirectoryError
+from jaxcrumple.io.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
+from jaxcrumple.io.frames import Frame
+from jaxcrumple.io.run import Run, load
+from jaxcrumple.io.rundir import Counts, RunDirectory
+from jaxcrumple.io.vtkhdf import sheet_fields, write_vtkhdf
+
+__all__ = [
+    "CheckpointError",
+    "Counts",
+    "Frame",
+    "Run",
+    "RunDirectory",
+    "RunDirectoryError",
+    "load",
+    "load_checkpoint",
+    "save_checkpoint",
+    "sheet_fields",
+    "write_vtkhdf",
+]

@@ -1,0 +1,213 @@
+"""Checkpoints: a whole pytree in one npz file, restored bit for bit or refused.
+
+The file holds one array per leaf, named by its path in the tree, and a JSON header with what the file is, who
+may read it, and the type and shape of every leaf. Arrays are stored uncompressed; the checksums of the zip
+container tell a damaged file.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxcrumple.io.atomic import to_json, write_npz
+
+FORMAT, VERSION = "jaxcrumple-checkpoint", 1
+_HEADER = "header"
+_RESTORE = "restore the file from a copy, or start the run again"
+
+Tree = TypeVar("Tree")
+
+
+class CheckpointError(ValueError):
+    """A checkpoint that cannot be used. The message names the cause and the cure."""
+
+
+def save_checkpoint(
+    path: str | Path,
+    state: Any,
+    metadata: Mapping[str, Any] | None = None,
+    *,
+    fingerprint: Mapping[str, Any] | None = None,
+) -> None:
+    """Write the arrays and numbers of a pytree `state`, all or nothing.
+
+    Leaves that are neither (functions, strings) are taken to be part of the structure and are not saved.
+
+    **Arguments:** `metadata`: anything JSON can hold, NumPy numbers included. `fingerprint`: what a state
+    must agree on with its reader, for example hashes of mesh and config; `load_checkpoint` compares it.
+
+    **Raises:** `RunDirectoryError` if the file cannot be written; the old one is intact then.
+    `CheckpointError` for a leaf that no npz file can hold.
+    """
+    leaves = _leaves(state)
+    header = {
+        "format": FORMAT,
+        "version": VERSION,
+        "fingerprint": dict(fingerprint or {}),
+        "metadata": dict(metadata or {}),
+        "leaves": {name: _describe(leaf) for name, leaf in leaves.items()},
+    }
+    arrays = {name: _to_numpy(name, leaf) for name, leaf in leaves.items()}
+    write_npz(Path(path), {_HEADER: np.array(to_json(header)), **arrays})
+
+
+def load_checkpoint(
+    path: str | Path, like: Tree, *, fingerprint: Mapping[str, Any] | None = None
+) -> tuple[Tree, dict[str, Any]]:
+    """Read a checkpoint into the structure of `like`.
+
+    **Arguments:** `like`: a pytree of the structure, shapes and types that were saved; its numbers do not
+    matter. `fingerprint`: if given, must equal what was saved.
+
+    **Returns:** the state, bit for bit what was saved, and the metadata.
+
+    **Raises:** `CheckpointError` if the file is missing, foreign, damaged, of another version, made with
+    another fingerprint, or does not fit `like`.
+    """
+    path = Path(path)
+    members = _read_members(path)
+    header = _read_header(path, members)
+    _check_fingerprint(path, header["fingerprint"], fingerprint)
+    described = header["leaves"]
+    wanted = _leaves(like)
+    _check_structure(path, described, {name: _describe(leaf) for name, leaf in wanted.items()})
+    restored = {name: _restore(path, name, members, described[name]) for name in wanted}
+
+    def pick(key: Any, leaf: Any) -> Any:
+        return restored.get(jax.tree_util.keystr(key), leaf)
+
+    return jax.tree_util.tree_map_with_path(pick, like), header["metadata"]
+
+
+# Leaves
+
+
+def _leaves(tree: Any) -> dict[str, Any]:
+    """Leaves that hold numbers, by their path."""
+    pairs, _ = jax.tree_util.tree_flatten_with_path(tree)
+    return {jax.tree_util.keystr(key): leaf for key, leaf in pairs if _has_numbers(leaf)}
+
+
+def _has_numbers(leaf: Any) -> bool:
+    return eqx.is_array_like(leaf) or isinstance(leaf, jax.ShapeDtypeStruct)
+
+
+def _describe(leaf: Any) -> dict[str, Any]:
+    weak = bool(getattr(leaf, "weak_type", False))
+    if isinstance(leaf, jax.Array | jax.ShapeDtypeStruct):
+        return {"dtype": str(leaf.dtype), "shape": list(leaf.shape), "kind": "jax", "weak": weak}
+    kinds = {np.ndarray: "numpy", np.generic: "scalar"}
+    kind = next((kind for base, kind in kinds.items() if isinstance(leaf, base)), "python")
+    value = np.asarray(leaf)
+    return {"dtype": str(value.dtype), "shape": list(value.shape), "kind": kind, "weak": weak}
+
+
+def _to_numpy(name: str, leaf: Any) -> np.ndarray:
+    native = isinstance(getattr(leaf, "dtype", np.dtype(float)), np.dtype)
+    if not native or np.asarray(leaf).dtype.kind not in "biufc":
+        dtype = getattr(leaf, "dtype", type(leaf).__name__)
+        raise CheckpointError(
+            f"leaf {name} of type {dtype} cannot be saved; make it an array of plain numbers"
+        )
+    return np.asarray(leaf)
+
+
+def _restore(path: Path, name: str, members: dict[str, bytes], description: dict[str, Any]) -> Any:
+    value = _array(path, members, name)
+    if str(value.dtype) != description["dtype"] or list(value.shape) != description["shape"]:
+        raise CheckpointError(f"leaf {name} of {str(path)!r} contradicts the header; {_RESTORE}")
+    if description["kind"] != "jax":
+        return {"numpy": value, "scalar": value[()], "python": value.tolist()}[description["kind"]]
+    if not description["weak"]:
+        return jnp.array(value)
+    # A weak type is that of a Python number and decides what a compiled function is looked up by: keep it.
+    weak = jnp.broadcast_to(jnp.asarray(value.dtype.type(0).item()), value.shape)
+    return weak.at[...].set(value)
+
+
+# Reading and checking
+
+
+def _read_members(path: Path) -> dict[str, bytes]:
+    """All members of the file; reading one to its end compares its checksum."""
+    if not path.is_file():
+        what = "is a folder" if path.is_dir() else "does not exist"
+        raise CheckpointError(f"checkpoint {str(path)!r} {what}; check the path, or start the run again")
+    try:
+        data = path.read_bytes()
+        if not data.startswith(b"PK\x03\x04"):
+            what = "is empty" if not data else "is not an npz file"
+            raise CheckpointError(f"{str(path)!r} {what}, so it is no checkpoint; {_RESTORE}")
+        with zipfile.ZipFile(io.BytesIO(data)) as file:
+            return {name.removesuffix(".npy"): file.read(name) for name in file.namelist()}
+    except CheckpointError:
+        raise
+    except Exception as error:  # zipfile meets damage with exceptions of many types
+        raise CheckpointError(
+            f"checkpoint {str(path)!r} is truncated or damaged ({error}); {_RESTORE}"
+        ) from error
+
+
+def _array(path: Path, members: dict[str, bytes], name: str) -> np.ndarray:
+    try:
+        return np.load(io.BytesIO(members[name]), allow_pickle=False)
+    except Exception as error:
+        raise CheckpointError(
+            f"{name} of {str(path)!r} is missing or damaged ({error}); {_RESTORE}"
+        ) from error
+
+
+def _read_header(path: Path, members: dict[str, bytes]) -> dict[str, Any]:
+    foreign = f"{str(path)!r} is an npz file but no checkpoint of jaxcrumple; check the path"
+    if _HEADER not in members:
+        raise CheckpointError(foreign)
+    try:
+        header = json.loads(str(_array(path, members, _HEADER)))
+    except json.JSONDecodeError as error:
+        raise CheckpointError(foreign) from error
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise CheckpointError(foreign)
+    if header.get("version") != VERSION:
+        raise CheckpointError(
+            f"checkpoint {str(path)!r} has format version {header.get('version')}, this program reads "
+            f"{VERSION}; use the version of jaxcrumple that wrote it, or start the run again"
+        )
+    return header
+
+
+def _check_fingerprint(path: Path, saved: dict[str, Any], given: Mapping[str, Any] | None) -> None:
+    if given is None:
+        return
+    expected = json.loads(to_json(given))
+    for key in sorted(saved.keys() | expected.keys()):
+        if saved.get(key) != expected.get(key):
+            raise CheckpointError(
+                f"checkpoint {str(path)!r} was made with {key} = {saved.get(key)!r}, this run has "
+                f"{expected.get(key)!r}; resume with the same settings, or start a new run"
+            )
+
+
+def _check_structure(path: Path, saved: dict[str, Any], wanted: dict[str, Any]) -> None:
+    cure = "resume with the scene, mesh and options of the run that wrote it"
+    for name in sorted(saved.keys() ^ wanted.keys()):
+        where = "in the file but not in this run" if name in saved else "missing from the file"
+        raise CheckpointError(f"checkpoint {str(path)!r} does not fit: leaf {name} is {where}; {cure}")
+    for name, leaf in wanted.items():
+        for what in ("shape", "dtype"):
+            if saved[name][what] != leaf[what]:
+                found, here = saved[name][what], leaf[what]
+                hint = " (is jax_enable_x64 on?)" if what == "dtype" else ""
+                raise CheckpointError(
+                    f"checkpoint {str(path)!r} does not fit: {what} of leaf {name} is {found} in the file "
+                    f"and {here} in this run{hint}; {cure}"
+                )

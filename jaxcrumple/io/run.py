@@ -1,0 +1,58 @@
+"""Reading a run back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from jaxcrumple.io.atomic import RunDirectoryError
+from jaxcrumple.io.rundir import RunDirectory
+from jaxcrumple.mesh import FloatArray, Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What a run left behind, finished or not.
+
+    In `history` the column `kind` is 0 for a step, 1 for the last state of a stage, 2 for the first of the
+    next.
+    """
+
+    t: FloatArray  # (f,) times of the frames [s]
+    x: FloatArray  # (f, n, 3) positions [m]
+    v: FloatArray  # (f, n, 3) velocities [m/s]
+    p: FloatArray  # (f, h) rest curvature of the hinges; that of the mesh in an elastic run
+    mesh: Mesh
+    config: dict[str, Any]  # what was asked for
+    summary: dict[str, Any]  # how it ended; empty if the run is still going or was killed
+    history: pd.DataFrame  # one row per logged step, columns of `jaxcrumple.solvers.log.Row`
+    events: pd.DataFrame  # switches and the like
+
+
+def load(path: str | Path) -> Run:
+    """Read the output folder of a run, all frames into memory.
+
+    **Raises:** `RunDirectoryError` if the folder is missing, is not a run, has no frames yet, or a file of it
+    is damaged.
+    """
+    folder = RunDirectory.open(path)
+    indices = folder.frames()
+    if not indices:
+        raise RunDirectoryError(f"run {str(path)!r} has no frames yet; wait for the first, or run it again")
+    mesh = folder.load_mesh()
+    frames = [folder.load_frame(index) for index in indices]
+    return Run(
+        t=np.array([frame.t for frame in frames]),
+        x=np.stack([frame.x for frame in frames]),
+        v=np.stack([frame.v for frame in frames]),
+        p=np.stack([mesh.rest_curvature if frame.p is None else frame.p for frame in frames]),
+        mesh=mesh,
+        config=folder.config,
+        summary=folder.read_summary(),
+        history=folder.history.read(),
+        events=folder.events.read(),
+    )

@@ -1,0 +1,56 @@
+"""Maps of the stored energy: the energy of edges and hinges as a density on the faces."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from jaxcrumple.measure.creases import hinge_angles, plastic_curvature
+from jaxcrumple.measure.strain import edge_length
+from jaxcrumple.mesh import FloatArray, Mesh
+from jaxcrumple.model.bending import hinge_energy
+
+
+def face_stretch_density(mesh: Mesh, x: ArrayLike, ks: ArrayLike) -> FloatArray:
+    """Stretching energy per rest area (f,) in J/m2 at positions `x` (n, 3) in m.
+
+    `ks`: spring constants (e,), or one for all edges, in N/m. The energy of an edge (eq. 11) is shared
+    equally by its faces, so that density times `mesh.face_area` sums to the energy of the sheet.
+    """
+    energy = 0.5 * np.asarray(ks) * (edge_length(mesh, x) - mesh.edge_length) ** 2
+    of_face = face_edges(mesh)
+    owners = np.bincount(of_face.ravel(), minlength=len(mesh.edges))
+    return (energy / owners)[of_face].sum(axis=1) / mesh.face_area
+
+
+def face_bending_density(mesh: Mesh, x: ArrayLike, p: ArrayLike, stiffness: ArrayLike) -> FloatArray:
+    """Stored bending energy per rest area (f,) in J/m2 at positions `x` (n, 3) in m.
+
+    `p`: rest curvature (h,); `stiffness`: $K = k_b \\sqrt3 |e_0|^2/(2 \\bar A)$ (h,) in J, as in
+    `jaxcrumple.model.bending.Bending`. Each hinge gives half of its energy (eq. 31, with the stop that keeps
+    faces apart) to each of its faces, so that density times `mesh.face_area` sums to the energy of the sheet.
+    """
+    theta = hinge_angles(mesh, x)
+    energy = hinge_energy(jnp.asarray(theta), jnp.asarray(p), jnp.asarray(stiffness))
+    return _to_faces(mesh, 0.5 * np.asarray(energy)) / mesh.face_area
+
+
+def face_plastic_curvature(mesh: Mesh, p: ArrayLike) -> FloatArray:
+    """Mean (f,) of $|p - p_{rest}|$ over the hinges of each face, dimensionless; 0 without hinges."""
+    count = _to_faces(mesh, np.ones(len(mesh.hinges)))
+    return _to_faces(mesh, np.abs(plastic_curvature(mesh, p))) / np.maximum(count, 1.0)
+
+
+def face_edges(mesh: Mesh) -> NDArray[np.intp]:
+    """Rows (f, 3) of `mesh.edges` that bound each face."""
+    pairs = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].astype(np.int64), axis=2)
+    keys = mesh.edges[:, 0].astype(np.int64) * mesh.n_nodes + mesh.edges[:, 1]  # ascending, see Mesh
+    return np.searchsorted(keys, pairs[..., 0] * mesh.n_nodes + pairs[..., 1])
+
+
+def _to_faces(mesh: Mesh, values: FloatArray) -> FloatArray:
+    """Sum (f,) of hinge `values` (h,) over both faces of the hinges."""
+    return np.bincount(
+        mesh.hinge_faces.ravel(), weights=np.repeat(values, 2), minlength=len(mesh.faces)
+    ).astype(float)

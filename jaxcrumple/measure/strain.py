@@ -1,0 +1,40 @@
+"""In-plane strain of the sheet: relative change of length of its edges."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jaxcrumple.mesh import FloatArray, Mesh
+
+
+def positions(mesh: Mesh, x: ArrayLike) -> FloatArray:
+    """`x` as float64 (n, 3) in m.
+
+    **Raises:** ValueError unless it has one row of three coordinates for each node of `mesh`.
+    """
+    x = np.asarray(x, dtype=np.float64)
+    if x.shape != (mesh.n_nodes, 3):
+        raise ValueError(f"x has shape {x.shape}; give positions ({mesh.n_nodes}, 3) of this mesh in metres")
+    return x
+
+
+def edge_length(mesh: Mesh, x: ArrayLike) -> FloatArray:
+    """Length (e,) of the edges in m at positions `x` (n, 3)."""
+    x = positions(mesh, x)
+    return np.linalg.norm(x[mesh.edges[:, 1]] - x[mesh.edges[:, 0]], axis=1)
+
+
+def edge_strain(mesh: Mesh, x: ArrayLike) -> FloatArray:
+    """Engineering strain (e,) of the edges, length / rest length - 1, at positions `x` (n, 3) in m."""
+    return edge_length(mesh, x) / mesh.edge_length - 1.0
+
+
+def rms_strain(mesh: Mesh, x: ArrayLike) -> float:
+    """Root mean square of `edge_strain`, each edge counted once."""
+    return float(np.sqrt(np.mean(edge_strain(mesh, x) ** 2)))
+
+
+def max_strain(mesh: Mesh, x: ArrayLike) -> float:
+    """Largest absolute value of `edge_strain`."""
+    return float(np.max(np.abs(edge_strain(mesh, x))))

@@ -1,0 +1,79 @@
+"""Small sheets and helpers that several physics tests share."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxcrumple.material import Material
+from jaxcrumple.meshgen import hexagonal
+from jaxcrumple.model.loads import LinearMotion, Prescribed
+from jaxcrumple.model.scene import sheet
+from jaxcrumple.solvers.hybrid import integrate
+from jaxcrumple.system import RESULTS, initial_state
+
+SPACING = 1e-3
+ROW = np.sqrt(3) / 2 * SPACING
+CELL = SPACING * ROW  # area per node
+
+# One jitted function for all files, so that equal structures compile once.
+run = eqx.filter_jit(integrate)
+
+
+def elastic(**properties):
+    """The default sheet without plasticity; `properties` as `Material` takes them."""
+    return Material(yield_curvature=None, **properties)
+
+
+def lattice(nx, ny):
+    """Hexagonal strip of spacing `SPACING`; node i of row j has the number nx j + i."""
+    return hexagonal(nx, ny, SPACING, reorder=False)
+
+
+def constants(scene):
+    """Spring constant, bending constant and node mass of a uniform hexagonal scene."""
+    return float(scene.membrane.stiffness[0]), float(scene.bending.stiffness[0]), float(scene.mass[0])
+
+
+def held(mask, position, velocity=(0.0, 0.0, 0.0)):
+    """Prescribed components `mask` (n, 3) that start at `position` (n, 3) and move uniformly."""
+    motion = LinearMotion(jnp.asarray(position), jnp.asarray(velocity, float))
+    return Prescribed(jnp.asarray(mask), motion)
+
+
+def strip_scene():
+    """Mesh and scene of an elastic strip that has every optional load, all of them switched off.
+
+    Tests switch terms on with `eqx.tree_at`: the structure stays the same and nothing recompiles.
+    """
+    mesh = lattice(9, 4)
+    support = held(np.zeros((mesh.n_nodes, 3), bool), mesh.vertices)
+    scene = sheet(mesh, elastic(), gravity=(0.0, 0.0, 0.0), prescribed=support)
+    off = (jnp.zeros_like(scene.drag.coefficient), jnp.zeros_like(scene.damping.coefficient))
+    return mesh, eqx.tree_at(lambda s: (s.drag.coefficient, s.damping.coefficient), scene, off)
+
+
+def advance(scene, state, t_stop, solver, calls=400):
+    """Integrate to `t_stop`, however many budgets it takes."""
+    for _ in range(calls):
+        state, _ = run(scene, state, jnp.asarray(float(t_stop)), solver)
+        assert state.result == RESULTS.success
+        if float(state.t) >= t_stop:
+            return state
+    raise AssertionError(f"t = {float(state.t)} after {calls} calls, asked for {t_stop}")
+
+
+def start(scene, x, v=None, stage=None):
+    """Initial state, in the given stage."""
+    state = initial_state(scene, x, v)
+    return state if stage is None else eqx.tree_at(lambda s: s.stage, state, jnp.asarray(stage))
+
+
+def angle_rotation(angle):
+    """Rotation of the plane by `angle`, (2, 2)."""
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def to_device(tree):
+    """Leaves of `tree` as JAX arrays."""
+    return jax.tree.map(jnp.asarray, tree)

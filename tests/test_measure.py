@@ -1,0 +1,166 @@
+"""Strain, creases, curvature maps and energy densities against shapes whose answers are known."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+from jaxcrumple import measure
+from jaxcrumple.mesh import Mesh
+from jaxcrumple.meshgen import hexagonal, rectangle
+from jaxcrumple.model.bending import Bending
+from jaxcrumple.model.geometry import gather, hinge_angle
+from jaxcrumple.model.membrane import Membrane
+
+RADIUS = 0.03
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return rectangle(0.1, 0.1, 1000, sweeps=60)
+
+
+@pytest.fixture(scope="module")
+def crumpled(mesh):
+    """Positions with smooth waves and small noise, and a rest curvature that moved here and there."""
+    rng = np.random.default_rng(3)
+    x = mesh.vertices + 2e-5 * rng.normal(size=mesh.vertices.shape)
+    x[:, 2] += 2e-3 * np.sin(150 * x[:, 0]) * np.cos(90 * x[:, 1])
+    p = mesh.rest_curvature + 0.1 * rng.normal(size=len(mesh.hinges)) ** 3
+    return x, p
+
+
+def rolled(mesh, angle=0.0, radius=RADIUS):
+    """The sheet on a cylinder, outside up, its axis turned by `angle`."""
+    c, s = np.cos(angle), np.sin(angle)
+    u, w = (mesh.vertices[:, :2] @ np.array([[c, -s], [s, c]])).T
+    return np.column_stack([radius * np.sin(u / radius), w, radius * np.cos(u / radius)])
+
+
+def interior(mesh):
+    return np.setdiff1d(np.arange(mesh.n_nodes), mesh.boundary_nodes)
+
+
+def single_hinge(angle):
+    """Two equilateral triangles of edge 1 over the x axis, bent by `angle`, convex seen from above."""
+    h = np.sqrt(3) / 2
+    flat = np.array([[0, 0, 0], [1, 0, 0], [0.5, h, 0], [0.5, -h, 0]])
+    mesh = Mesh.from_arrays(flat, [[0, 1, 2], [1, 0, 3]], reorder=False)
+    x = flat.copy()
+    x[3] = [0.5, -h * np.cos(angle), -h * np.sin(angle)]
+    return mesh, x
+
+
+@pytest.mark.parametrize("angle", [0.4, -1.3, 3.0])
+def test_single_hinge(angle):
+    mesh, x = single_hinge(angle)
+    assert measure.hinge_angles(mesh, x) == pytest.approx([angle], rel=1e-14)
+    assert measure.hinge_curvature(mesh, x) == pytest.approx([2 * np.sin(angle / 2)], rel=1e-14)
+    share = 2 * np.sqrt(3) / 4 / 6  # of both triangles, at each end of the shared edge
+    expected = [0.5 * angle / share, 0.5 * angle / share, 0, 0]
+    assert measure.mean_curvature(mesh, x) == pytest.approx(expected)
+    assert measure.folded_hinges(mesh, x) == int(abs(angle) > np.deg2rad(170))
+
+
+def test_angles_equal_those_of_the_model(mesh, crumpled):
+    x, _ = crumpled
+    expected = hinge_angle(*gather(jnp.asarray(x), jnp.asarray(mesh.hinges)))
+    assert np.abs(measure.hinge_angles(mesh, x) - np.asarray(expected)).max() < 1e-13
+
+
+def test_uniform_stretch(mesh):
+    assert measure.edge_strain(mesh, 1.02 * mesh.vertices) == pytest.approx(0.02)
+    assert measure.rms_strain(mesh, 0.97 * mesh.vertices) == pytest.approx(0.03)
+    assert measure.max_strain(mesh, 0.97 * mesh.vertices) == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, np.pi / 2])
+def test_cylinder(mesh, angle):
+    hexagons = hexagonal(30, 34, 2.5e-3)
+    lattice = RADIUS * measure.mean_curvature(hexagons, rolled(hexagons, angle))[interior(hexagons)]
+    assert np.abs(lattice - 1).max() < 2e-3
+    irregular = RADIUS * measure.mean_curvature(mesh, rolled(mesh, angle))
+    inside = irregular[interior(mesh)]
+    assert abs(inside.mean() - 1) < 0.02
+    assert inside.std() < 0.10
+    assert abs(irregular[mesh.boundary_nodes].mean() - 1) < 0.15
+
+
+def test_sign_follows_the_face_normals(mesh):
+    x = rolled(mesh)
+    down = x * [1, 1, -1]
+    assert measure.mean_curvature(mesh, x).mean() > 0
+    assert measure.mean_curvature(mesh, down) == pytest.approx(-measure.mean_curvature(mesh, x))
+
+
+def icosphere(levels):
+    """An icosahedron whose edges are halved `levels` times, on a sphere."""
+    golden = (1 + np.sqrt(5)) / 2
+    signs = np.array([[a, b * golden, 0] for a in (-1, 1) for b in (-1, 1)])
+    x = np.concatenate([np.roll(signs, k, axis=1) for k in range(3)])
+    for _ in range(levels):
+        edges = Mesh.from_arrays(x, ConvexHull(x).simplices, reorder=False).edges
+        x = np.concatenate([x, x[edges].mean(axis=1)])
+        x /= np.linalg.norm(x, axis=1, keepdims=True)
+    return Mesh.from_arrays(RADIUS * x, ConvexHull(x).simplices)
+
+
+def test_sphere():
+    mesh = icosphere(3)
+    corners = mesh.vertices[mesh.faces]
+    outward = np.sign(np.linalg.det(corners).sum())
+    curvature = outward * RADIUS * measure.mean_curvature(mesh, mesh.vertices)
+    assert abs(curvature.mean() / 2 - 1) < 0.01
+    assert np.abs(curvature / 2 - 1).max() < 0.03
+
+
+def test_creases(mesh):
+    p = mesh.rest_curvature.copy()
+    p[[3, 17]] += [0.06, -0.2]
+    p[5] += 0.04
+    assert np.flatnonzero(measure.damaged(mesh, p)).tolist() == [3, 17]
+    assert measure.crease_length(mesh, p) == pytest.approx(mesh.hinge_length[[3, 17]].sum())
+    assert measure.crease_length(mesh, p, threshold=0.1) == pytest.approx(mesh.hinge_length[17])
+    assert measure.crease_length(mesh, mesh.rest_curvature) == 0
+    damage = measure.node_damage(mesh, p)
+    assert damage.max() == pytest.approx(0.2)
+    assert set(np.flatnonzero(damage)) == set(mesh.hinges[[3, 5, 17], :2].ravel())
+
+
+def test_damage_counts_from_the_rest_shape(mesh):
+    bent = mesh.with_rest_shape(rolled(mesh))
+    assert measure.crease_length(bent, bent.rest_curvature) == 0
+
+
+def test_densities_sum_to_the_energies_of_the_model(mesh, crumpled):
+    x, p = crumpled
+    rng = np.random.default_rng(0)
+    ks, stiffness = rng.uniform(1, 2, len(mesh.edges)), rng.uniform(1e-3, 2e-3, len(mesh.hinges))
+    membrane = Membrane(jnp.asarray(mesh.edges), jnp.asarray(ks), jnp.asarray(mesh.edge_length))
+    bending = Bending(jnp.asarray(mesh.hinges), jnp.asarray(stiffness), jnp.asarray(mesh.rest_curvature))
+    stretch = measure.face_stretch_density(mesh, x, ks) @ mesh.face_area
+    bend = measure.face_bending_density(mesh, x, p, stiffness) @ mesh.face_area
+    assert stretch == pytest.approx(float(membrane.energy(jnp.asarray(x))), rel=1e-12)
+    assert bend == pytest.approx(float(bending.energy(jnp.asarray(x), jnp.asarray(p))), rel=1e-12)
+
+
+def test_uniform_stretch_has_uniform_density():
+    mesh = hexagonal(12, 12, 1e-3)
+    density = measure.face_stretch_density(mesh, 1.01 * mesh.vertices, 2.0)
+    inside = ~np.isin(mesh.faces, mesh.boundary_nodes).any(axis=1)
+    # Each triangle owns half of three springs: (3/2) (ks/2) (0.01 a)^2 / (sqrt(3)/4 a^2).
+    assert density[inside] == pytest.approx(1.5 * 1e-4 / (np.sqrt(3) / 4))
+
+
+def test_plastic_curvature_of_faces():
+    mesh, _ = single_hinge(0.0)
+    assert measure.face_plastic_curvature(mesh, np.array([-0.3])) == pytest.approx([0.3, 0.3])
+    alone = Mesh.from_arrays([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]])
+    assert measure.face_plastic_curvature(alone, np.zeros(0)).tolist() == [0]
+
+
+def test_wrong_shapes_are_refused(mesh):
+    with pytest.raises(ValueError, match=r"x has shape \(5, 3\)"):
+        measure.edge_strain(mesh, np.zeros((5, 3)))
+    with pytest.raises(ValueError, match=r"p has shape \(2,\)"):
+        measure.crease_length(mesh, np.zeros(2))
