@@ -1,0 +1,76 @@
+"""jaxcrumple: a differentiable JAX simulator of thin elastoplastic sheets."""
+
+from jaxcrumple.config import ConfigError, configure
+from jaxcrumple.io import CheckpointError, Run, RunDirectoryError, load
+from jaxcrumple.material import Material
+from jaxcrumple.mesh import Mesh, MeshError
+from jaxcrumple.meshgen import disc, hexagonal, rectangle
+from jaxcrumple.model.confinement import Cone, Cylinder, Plane, Ramp, Sphere, Wall
+from jaxcrumple.model.loads import ElementEnergy, Gravity, LinearMotion, Prescribed
+from jaxcrumple.model.plasticity import AbstractFlowRule, SmoothstepFlow
+from jaxcrumple.model.scene import Scene, sheet
+from jaxcrumple.run import resume_run, start_run
+from jaxcrumple.scenes import radial
+from jaxcrumple.simulate import SimulationError, Solution, frame_times, simulate
+from jaxcrumple.solvers.hybrid import Hybrid, hybrid, integrate
+from jaxcrumple.solvers.relax import relax
+from jaxcrumple.solvers.switch import Switch
+from jaxcrumple.system import (
+    RESULTS,
+    State,
+    energies,
+    force,
+    initial_state,
+    mass_matrix,
+    potential_energy,
+    tangent,
+)
+
+__all__ = [
+    "RESULTS",
+    "AbstractFlowRule",
+    "CheckpointError",
+    "Cone",
+    "ConfigError",
+    "Cylinder",
+    "ElementEnergy",
+    "Gravity",
+    "Hybrid",
+    "LinearMotion",
+    "Material",
+    "Mesh",
+    "MeshError",
+    "Plane",
+    "Prescribed",
+    "Ramp",
+    "Run",
+    "RunDirectoryError",
+    "Scene",
+    "SimulationError",
+    "SmoothstepFlow",
+    "Solution",
+    "Sphere",
+    "State",
+    "Switch",
+    "Wall",
+    "configure",
+    "disc",
+    "energies",
+    "force",
+    "frame_times",
+    "hexagonal",
+    "hybrid",
+    "initial_state",
+    "integrate",
+    "load",
+    "mass_matrix",
+    "potential_energy",
+    "radial",
+    "rectangle",
+    "relax",
+    "resume_run",
+    "sheet",
+    "simulate",
+    "start_run",
+    "tangent",
+]

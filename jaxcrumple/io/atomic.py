@@ -57,7 +57,7 @@ def replacing(path: Path) -> Iterator[Path]:
         raise
 
 
-def write_bytes(path: Path, data: bytes) -> None:
+def write_bytes(path: Path, data: bytes | memoryview) -> None:
     """Write `data` to `path`, all or nothing. **Raises:** `RunDirectoryError`."""
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write(data)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -53,7 +54,7 @@ def load_mesh(path: Path) -> Mesh:
 def _read_npz(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
     cure = "delete it if the run can do without, or restore it from a copy"
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
     except FileNotFoundError as error:
         raise RunDirectoryError(f"{str(path)!r} does not exist; the run was not saved this far") from error

@@ -112,7 +112,10 @@ class RunDirectory:
         return _frames.load_mesh(self.path / "mesh.npz")
 
     def save_frame(self, index: int, t: float, x: ArrayLike, v: ArrayLike, p: ArrayLike | None) -> None:
-        """Write frame number `index`: `t` in s, `x`, `v` (n, 3) in m and m/s, `p` (h,) or None if elastic."""
+        """Write frame `index`, counted from 0 without gaps.
+
+        `t` in s; `x`, `v` (n, 3) in m and m/s; `p` (h,), or None if elastic.
+        """
         path = self._frame(index)
         try:
             path.parent.mkdir(exist_ok=True)
@@ -130,8 +133,8 @@ class RunDirectory:
         return sorted(int(path.stem) for path in self.path.glob("frames/[0-9]*.npz"))
 
     def append_history(self, columns: Sequence[str], rows: ArrayLike) -> None:
-        """Add rows (r, columns) of numbers to the history. Stages become words, counts integers."""
-        values = np.atleast_2d(np.asarray(rows, dtype=np.float64)).reshape(-1, len(columns))
+        """Add rows (r, columns) to the history. Stages may be numbers or words, and are written as words."""
+        values = np.asarray(rows, dtype=object).reshape(-1, len(columns))
         self.history.append(
             columns, [[_entry(c, v) for c, v in zip(columns, row, strict=True)] for row in values]
         )
@@ -139,7 +142,7 @@ class RunDirectory:
     def append_events(self, events: Sequence[Mapping[str, Any]]) -> None:
         """Add events. Keys are columns; new ones are added at the right, missing ones stay empty.
 
-        By convention `t` is the time in s and `event` the kind, "switch" for a change of stage.
+        By convention `t` is the time in s, and a change of stage has the stages `from` and `to` in words.
         """
         if not events:
             return
@@ -189,9 +192,9 @@ class RunDirectory:
         return self.path / "frames" / f"{index:05d}.npz"
 
 
-def _entry(column: str, value: float) -> float | int | str:
+def _entry(column: str, value: Any) -> float | int | str:
     if column == "stage":
-        return STAGES[int(value)]
+        return value if isinstance(value, str) else STAGES[int(value)]
     return int(value) if column in INTEGERS and np.isfinite(value) else float(value)
 
 

@@ -6,6 +6,7 @@ import csv
 import io
 import os
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -73,9 +74,10 @@ class Table:
         self.count = count
 
     def read(self) -> pd.DataFrame:
-        """All complete rows; an empty frame before the first."""
-        text = self._text()
-        return pd.read_csv(io.StringIO(text), float_precision="round_trip") if text else pd.DataFrame()
+        """All complete rows, every number as it was written; an empty frame before the first."""
+        names, *rows = list(csv.reader(self._text().splitlines())) or [[]]
+        cells = zip(*rows, strict=True) if rows else [()] * len(names)
+        return pd.DataFrame({name: _typed(column) for name, column in zip(names, cells, strict=True)})
 
     def _text(self) -> str:
         return b"".join(self._lines()).decode()
@@ -97,9 +99,9 @@ class Table:
                 size = _complete_size(self.path, file.tell())
                 file.truncate(size)
                 try:
-                    if file.write(data) != len(data):  # a disk that just became full writes a part
-                        file.write(data[-1:])  # and now says why
-                        raise OSError("only a part could be written")
+                    left = memoryview(data)
+                    while left:  # a disk that becomes full takes a part first and complains then
+                        left = left[file.write(left) :]
                     os.fsync(file.fileno())
                 except OSError:
                     file.truncate(size)
@@ -117,6 +119,15 @@ def _complete_size(path: Path, size: int) -> int:
         if file.read(1) == b"\n":
             return size
     return path.read_bytes().rfind(b"\n") + 1
+
+
+def _typed(cells: Sequence[str]) -> list[int] | list[float] | list[str | None]:
+    """The cells of a column as integers, or numbers with NaN where empty, or text with None where empty."""
+    with suppress(ValueError):
+        return [int(cell) for cell in cells]
+    with suppress(ValueError):
+        return [float(cell or "nan") for cell in cells]
+    return [cell or None for cell in cells]
 
 
 def _csv(rows: Iterable[Sequence[Any]]) -> bytes:

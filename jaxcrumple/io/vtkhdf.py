@@ -7,6 +7,7 @@ float32, which the eye does not miss. An HDF5 name cannot hold "/", so units are
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxcrumple.io.atomic import replacing
+from jaxcrumple.io.atomic import write_bytes
 from jaxcrumple.io.frames import Frame
 from jaxcrumple.measure import (
     face_bending_density,
@@ -40,7 +41,7 @@ def write_vtkhdf(
 ) -> int:
     """Write `frames` one after the other, all or nothing, and return how many there were.
 
-    **Arguments:** `frames` may be a generator, so that a long run need not fit into memory. `point_data`,
+    **Arguments:** `frames` may be a generator; only the film itself must fit into memory. `point_data`,
     `cell_data`: functions from a frame to one value (n,) or (f,) or vector (n, 3) or (f, 3) per point or
     cell; `sheet_fields` has the usual ones.
 
@@ -51,13 +52,16 @@ def write_vtkhdf(
     for name in (*fields["PointData"], *fields["CellData"]):
         if "/" in name:
             raise ValueError(f"{name!r} cannot name an array of an HDF5 file; leave out the '/'")
-    with replacing(Path(path)) as temporary, h5py.File(temporary, "w") as file:
+    # HDF5 crashes the process when it closes a file on a full disk, so the film is made in memory.
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w") as file:
         root = file.create_group("VTKHDF")
         _write_faces(root, mesh)
         times = [_append(root, mesh, frame, fields) for frame in frames]
         if not times:
             raise ValueError("there are no frames to write; save some first")
         _write_steps(root, mesh, np.array(times), fields)
+    write_bytes(Path(path), buffer.getbuffer())
     return len(times)
 
 

@@ -57,8 +57,9 @@ def hybrid(
     linear: str | AbstractLinearSolver = "auto",
     switch: Switch | None = None,
     max_order: int = 4,
+    max_step: Array | float = jnp.inf,
 ) -> Hybrid:
-    """The hybrid integrator at relative tolerance `rtol`.
+    """The hybrid integrator at relative tolerance `rtol`, with steps of `max_step` s at most.
 
     **Raises:** ValueError for a tolerance outside (0, 0.1), an unknown linear solver or order.
     """
@@ -69,7 +70,10 @@ def hybrid(
     solver = choose_linear_solver(linear) if isinstance(linear, str) else linear
     tolerance = jnp.asarray(float(rtol))
     return Hybrid(
-        Quasistatic(tolerance, solver, max_order=max_order), Explicit(tolerance), switch or Switch()
+        Quasistatic(tolerance, solver, max_order=max_order),
+        Explicit(tolerance),
+        switch or Switch(),
+        max_step=max_step,
     )
 
 

@@ -1,0 +1,134 @@
+"""The command line: `jaxcrumple run`, `scenes`, `plot`."""
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import jax
+import typer
+from rich.console import Console
+
+app = typer.Typer(
+    help="Simulate thin elastoplastic sheets that fold, buckle and crumple.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+console = Console()
+
+
+def main() -> None:
+    """Entry point: double precision, a compilation cache, and errors as one line."""
+    jax.config.update("jax_enable_x64", True)
+    _enable_compilation_cache()
+    try:
+        app()
+    except ValueError as error:
+        # Every refusal of the library names its cause and cure; a traceback would hide it.
+        Console(stderr=True).print(f"error: {error}", style="red", markup=False)
+        sys.exit(2)
+
+
+def _enable_compilation_cache() -> None:
+    """Keep compiled programs between runs, unless the user chose a place or none."""
+    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
+        return
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    jax.config.update("jax_compilation_cache_dir", str(base / "jaxcrumple" / "xla"))
+
+
+Setting = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="An option of scene, material or solver; may repeat."),
+]
+
+
+@app.command()
+def run(
+    scene: Annotated[str, typer.Argument(help="Name of a scene; see `jaxcrumple scenes`.")],
+    nodes: Annotated[int | None, typer.Option(help="Nodes of the mesh [default: 1000].")] = None,
+    t_end: Annotated[float | None, typer.Option(help="End time in s [default: the scene's].")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of mesh and imperfection [default: 0].")] = None,
+    settings: Setting = None,
+    out: Annotated[Path | None, typer.Option(help="New folder for results [default: runs/SCENE].")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out.")] = False,
+) -> None:
+    """Run a scene and write its trajectory, tables, checkpoint, summary and pictures to a folder."""
+    from jaxcrumple.config import configure
+    from jaxcrumple.io import RunDirectory
+    from jaxcrumple.progress import ConsoleProgress
+    from jaxcrumple.run import check_resumable, resume_run, start_run, stored_config
+
+    folder = out or Path("runs") / scene
+    given = {"nodes": nodes, "t_end": t_end, "seed": seed}
+    asked = {key: value for key, value in given.items() if value is not None}
+    if resume and not asked and not settings:
+        config = stored_config(RunDirectory.open(folder))
+    else:
+        config = configure(scene, settings=settings or (), **asked)
+    if resume:
+        check_resumable(config, folder)
+    with ConsoleProgress(config.t_end, console) as progress:
+        summary = resume_run(folder, [progress]) if resume else start_run(config, folder, [progress])
+    pictures = _plot(folder)
+    _report(summary, folder, pictures)
+    if summary["result"] != "success":
+        raise typer.Exit(1)
+
+
+@app.command()
+def scenes() -> None:
+    """List the scenes and their options with defaults."""
+    from jaxcrumple.config import MaterialOptions, SolverOptions
+    from jaxcrumple.scenes import SCENES
+
+    for name, entry in SCENES.items():
+        console.print(f"[bold]{name}[/bold]: {entry.summary}; ends at t = {entry.t_end} s")
+        _print_options("scene", entry.options)
+    _print_options("material", MaterialOptions)
+    _print_options("solver", SolverOptions)
+
+
+def _print_options(title: str, model) -> None:
+    options = ", ".join(f"{name}={field.default}" for name, field in model.model_fields.items())
+    console.print(f"  {title}: {options}", markup=False)
+
+
+@app.command()
+def plot(folder: Annotated[Path, typer.Argument(help="Folder of a run, finished or not.")]) -> None:
+    """Draw the pictures of a run again, and write its film for ParaView."""
+    from jaxcrumple.io import RunDirectory
+    from jaxcrumple.run import export, stored_config
+
+    opened = RunDirectory.open(folder)
+    pictures = _plot(folder)
+    export(opened, stored_config(opened).build().scene)
+    for picture in [*pictures, opened.vtkhdf_path]:
+        console.print(str(picture), markup=False)
+
+
+def _plot(folder: Path) -> list[Path]:
+    from jaxcrumple.plot import plot_run
+
+    return plot_run(folder)
+
+
+def _report(summary: dict, folder: Path, pictures: list[Path]) -> None:
+    steps, share, energy = summary["steps"], summary["dynamic_share"], summary["energy"]
+    lines = [
+        f"result: {summary['result']} ({summary['message']})",
+        f"t = {summary['t_reached']:.4g} s after {summary['run_s']:.0f} s "
+        f"(+ {summary['compile_s']:.0f} s compiling, {summary['cpu_s']:.0f} CPU s), rtol {summary['rtol']:g}",
+        f"steps: {steps['quasistatic']} quasistatic, {steps['dynamic']} dynamic, {steps['rejected']} "
+        f"rejected; {summary['switches']} switches",
+        f"dynamic stage: {share['time']:.2%} of the time, {share['steps']:.1%} of the steps",
+        f"energy: {energy['bending'] * 1e3:.3g} mJ bending, {energy['stretch'] * 1e3:.3g} mJ stretch",
+        f"edge strain: {summary['max_edge_strain']:.2%} largest, {summary['rms_edge_strain']:.2%} rms; "
+        f"wall penetration {summary['max_wall_penetration'] * 1e6:.3g} um; "
+        f"creases {summary['crease_length'] * 100:.3g} cm",
+        *(f"picture: {picture}" for picture in pictures),
+        f"all results: {folder}",
+    ]
+    for line in lines:
+        console.print(line, markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,172 @@
+"""What a run is asked to do: options of scene, material and solver, validated before any work."""
+
+import difflib
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import jax.numpy as jnp
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from jaxcrumple.material import Material
+from jaxcrumple.scenes import SCENES, Setup
+from jaxcrumple.solvers.hybrid import Hybrid, hybrid
+from jaxcrumple.solvers.switch import Switch
+
+
+class ConfigError(ValueError):
+    """An option that cannot be; the message names it, the cause and the cure."""
+
+
+class Options(BaseModel):
+    """Base of all option groups: unknown names are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class MaterialOptions(Options):
+    """The sheet's material in SI units; see `Material`."""
+
+    young_modulus: float = 1e9
+    thickness: float = 0.25e-3
+    density: float = 1000.0
+    yield_curvature: float | None = 200.0
+    yield_c0: float | None = None
+    gamma: float = 0.0
+    plastic_time: float = 1e-3
+    drag_rate: float = 1e3
+    internal_damping_time: float = 2e-7
+    mass_lumping: Literal["uniform", "area"] = "uniform"
+
+    def build(self) -> Material:
+        """The material; `yield_c0` takes the place of the default yield curvature."""
+        values = self.model_dump()
+        if self.yield_c0 is not None and "yield_curvature" not in self.model_fields_set:
+            values["yield_curvature"] = None
+        return Material(**values)
+
+
+class SolverOptions(Options):
+    """The integrator; see `hybrid` and `Switch`."""
+
+    rtol: float = Field(1e-4, gt=0, lt=0.1)
+    stages: Literal["hybrid", "quasistatic"] = "hybrid"
+    linear: Literal["auto", "direct", "block-cg"] = "auto"
+    max_order: Literal[3, 4] = 4
+    max_step: float = Field(float("inf"), gt=0)
+    switch_up: float = Field(1e-5, gt=0)
+    switch_down: float = Field(3e-6, gt=0)
+    dwell: float = Field(1e-3, ge=0)
+    ignore: int = Field(5, ge=0)
+    minimum_steps: int = Field(10, ge=1)
+
+    def build(self) -> Hybrid:
+        """The integrator."""
+        switch = Switch(
+            up=self.switch_up,
+            down=self.switch_down,
+            dwell=self.dwell,
+            ignore=self.ignore,
+            minimum_steps=self.minimum_steps,
+            enabled=self.stages == "hybrid",
+        )
+        return hybrid(
+            self.rtol,
+            linear=self.linear,
+            switch=switch,
+            max_order=self.max_order,
+            max_step=jnp.asarray(self.max_step),
+        )
+
+
+class RunConfig(Options):
+    """One run, complete: enough to start it again and get the same answer."""
+
+    scene: str
+    nodes: int = Field(1000, ge=16, le=1_000_000)
+    seed: int = Field(0, ge=0)
+    t_end: float = Field(gt=0, lt=1e6)
+    frames: int = Field(26, ge=1, le=100_000)
+    options: dict[str, Any] = Field(default_factory=dict)
+    material: MaterialOptions = MaterialOptions()
+    solver: SolverOptions = SolverOptions()
+
+    def build(self) -> Setup:
+        """Mesh, scene and start of the run."""
+        entry = SCENES[self.scene]
+        return entry.build(self.nodes, self.seed, material=self.material.build(), **self.options)
+
+
+def configure(
+    scene: str,
+    *,
+    nodes: int = 1000,
+    seed: int = 0,
+    t_end: float | None = None,
+    settings: Sequence[str] | Mapping[str, Any] = (),
+) -> RunConfig:
+    """Configuration of a run of a named scene.
+
+    **Arguments:** `settings`: "key=value" strings, or a mapping, of any option of the scene, the
+    material or the solver; `t_end` in s, by default the scene's own.
+
+    **Raises:** `ConfigError` for an unknown scene, key or value.
+    """
+    if scene not in SCENES:
+        raise ConfigError(f"scene {scene!r} is unknown{_nearest(scene, SCENES)}.")
+    entry = SCENES[scene]
+    groups = {"options": entry.options, "material": MaterialOptions, "solver": SolverOptions}
+    values: dict[str, Any] = {name: {} for name in groups}
+    top = {"scene": scene, "nodes": nodes, "seed": seed, "t_end": entry.t_end if t_end is None else t_end}
+    for key, value in _pairs(settings):
+        if key == "frames":
+            top[key] = value
+        else:
+            values[_group(key, groups)][key] = value
+    options = _validated(entry.options, values["options"]).model_dump()
+    parts = {
+        "options": options,
+        "material": _validated(MaterialOptions, values["material"]),
+        "solver": _validated(SolverOptions, values["solver"]),
+    }
+    config = _validated(RunConfig, {**top, **parts})
+    try:
+        config.material.build()
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
+    return config
+
+
+def _pairs(settings: Sequence[str] | Mapping[str, Any]) -> list[tuple[str, Any]]:
+    if isinstance(settings, Mapping):
+        return list(settings.items())
+    pairs = []
+    for text in settings:
+        key, equals, value = text.partition("=")
+        if not equals or not key:
+            raise ConfigError(f"setting {text!r} must read key=value, e.g. thickness=1e-4.")
+        pairs.append((key.strip(), None if value.strip().lower() == "none" else value.strip()))
+    return pairs
+
+
+def _group(key: str, groups: Mapping[str, type[Options]]) -> str:
+    for name, model in groups.items():
+        if key in model.model_fields:
+            return name
+    known = ["frames", *(field for model in groups.values() for field in model.model_fields)]
+    raise ConfigError(f"setting {key!r} is unknown{_nearest(key, known)}.")
+
+
+def _nearest(name: str, known) -> str:
+    close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.4)
+    if close:
+        return f"; did you mean {close[0]!r}?"
+    return f"; choose one of {', '.join(sorted(known))}"
+
+
+def _validated(model: type[Options], values: Mapping[str, Any]) -> Any:
+    try:
+        return model(**values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise ConfigError(f"{where} = {first.get('input')!r}: {first['msg']}.") from error

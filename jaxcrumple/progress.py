@@ -1,0 +1,63 @@
+"""Progress of a run on the console."""
+
+import time
+
+import pandas as pd
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from jaxcrumple.simulate import ENERGIES, explain
+from jaxcrumple.system import STAGES, State
+
+# Seconds between lines where the output is not a terminal.
+INTERVAL = 10.0
+
+
+class ConsoleProgress:
+    """Shows time, stage, step size, energy, time left, and why a run is slow when it is."""
+
+    def __init__(self, t_end: float, console: Console):
+        self.console = console
+        self.last: State | None = None
+        self.printed = 0.0
+        columns = (
+            TextColumn("t = {task.completed:.4f} of {task.total:.4g} s"),
+            BarColumn(bar_width=20),
+            TimeRemainingColumn(),
+            TextColumn("{task.description}"),
+        )
+        self.bar = Progress(*columns, console=console, disable=not console.is_terminal)
+        self.task = self.bar.add_task("compiling", total=t_end)
+
+    def __enter__(self) -> "ConsoleProgress":
+        self.bar.start()
+        self.begin = time.perf_counter()
+        return self
+
+    def __exit__(self, *_) -> None:
+        self.bar.stop()
+
+    def frame(self, index: int, state: State) -> None:
+        """Frames are not shown."""
+
+    def chunk(self, state: State, history: pd.DataFrame, events: pd.DataFrame, frames: int) -> None:
+        """Update the bar, or print a line."""
+        stage = STAGES[int(state.stage)]
+        h = float(state.h_explicit if stage == "dynamic" else state.h)
+        why = explain(self.last, state) if self.last is not None else ""
+        energy = f"E = {history[list(ENERGIES)].iloc[-1].sum() * 1e3:.3g} mJ" if len(history) else ""
+        text = ", ".join(part for part in (stage, f"h = {h:.1e} s", energy, why) if part)
+        self.bar.update(self.task, completed=float(state.t), description=text)
+        for event in events.itertuples():
+            self.bar.console.print(f"t = {event.t:.5f} s: {getattr(event, '_2')} -> {event.to}")
+        now = time.perf_counter()
+        if not self.console.is_terminal and now - self.printed > INTERVAL:
+            self.printed = now
+            total = self.bar.tasks[self.task].total or 0.0
+            self.console.print(f"t = {float(state.t):.4f} of {total:.4g} s, {self._left(state, total)}{text}")
+        self.last = state
+
+    def _left(self, state: State, total: float) -> str:
+        """Time left at the mean speed since the last state, in words."""
+        speed = float(state.t) / max(time.perf_counter() - self.begin, 1e-9)
+        return f"about {(total - float(state.t)) / speed:.0f} s left, " if speed > 0 else ""

@@ -1,0 +1,280 @@
+"""`simulate`: the host's loop around `integrate`: frames, records, observers, named results."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+
+from jaxcrumple.model.scene import Scene
+from jaxcrumple.solvers.hybrid import Hybrid, hybrid, integrate
+from jaxcrumple.solvers.log import AFTER, BEFORE, Row
+from jaxcrumple.system import CAUSES, RESULTS, STAGES, State
+from jaxcrumple.threads import single_threaded_blas
+
+_integrate = eqx.filter_jit(integrate)
+
+ENERGIES = ("stretch", "bending", "confinement", "gravity", "extra", "kinetic")
+RESULT_NAMES = tuple(name for name in ("success", "budget", "collapsed", "nonfinite"))
+
+
+class SimulationError(RuntimeError):
+    """A run that cannot go on; its last good state is in `solution`."""
+
+    def __init__(self, solution: "Solution"):
+        super().__init__(f"{solution.result}: {solution.message}")
+        self.solution = solution
+
+
+class Observer(Protocol):
+    """Something that is told of a run's progress, e.g. to save or to show it."""
+
+    def frame(self, index: int, state: State) -> None:
+        """Called with the state at each frame time."""
+
+    def chunk(self, state: State, history: pd.DataFrame, events: pd.DataFrame, frames: int) -> None:
+        """Called after every call of `integrate` with the new rows and the frames so far."""
+
+
+@dataclass
+class Solution:
+    """What `simulate` returns.
+
+    `state` the last good state; `result` one of the names of `RESULTS` and its `message`; frames at
+    times `t` (f,) s with positions `x` (f, n, 3) m, velocities `v` (f, n, 3) m/s and rest curvatures
+    `p` (f, h) or None; `history` and `events` as tables; `compile_s` and `run_s` wall seconds.
+    """
+
+    state: State
+    result: str
+    message: str
+    t: np.ndarray
+    x: np.ndarray
+    v: np.ndarray
+    p: np.ndarray | None
+    history: pd.DataFrame
+    events: pd.DataFrame
+    compile_s: float
+    run_s: float
+
+
+@dataclass
+class _Record:
+    t: list[float] = field(default_factory=list)
+    x: list[np.ndarray] = field(default_factory=list)
+    v: list[np.ndarray] = field(default_factory=list)
+    p: list[np.ndarray] = field(default_factory=list)
+    history: list[pd.DataFrame] = field(default_factory=list)
+    events: list[pd.DataFrame] = field(default_factory=list)
+
+    def frame(self, index: int, state: State) -> None:
+        self.t.append(float(state.t))
+        self.x.append(np.asarray(state.x))
+        self.v.append(np.asarray(state.v))
+        if state.p is not None:
+            self.p.append(np.asarray(state.p))
+
+    def chunk(self, state: State, history: pd.DataFrame, events: pd.DataFrame, frames: int) -> None:
+        self.history.append(history)
+        self.events.append(events)
+
+
+def simulate(
+    scene: Scene,
+    state: State,
+    times: Sequence[float] | float,
+    *,
+    solver: Hybrid | None = None,
+    observers: Sequence[Observer] = (),
+    first_frame: int = 0,
+    max_attempts: int | None = None,
+    max_seconds: float | None = None,
+    throw: bool = False,
+) -> Solution:
+    """Run a scene from a state, with a frame at each of `times` (s); the last one ends the run.
+
+    **Arguments:**
+
+    - `times`: increasing frame times in s, or the end time alone.
+    - `solver`: `hybrid(...)`, by default at rtol 1e-4.
+    - `observers`: told of every frame and of every chunk of steps.
+    - `first_frame`: index of the first of `times` still to be reached (for a resumed run).
+    - `max_attempts`, `max_seconds`: budget of step attempts and of wall time; a run that exceeds one
+      stops with the result "budget".
+    - `throw`: raise `SimulationError` when the result is not "success".
+
+    **Raises:** ValueError for times that are not finite, not positive or not increasing.
+    """
+    times = _checked_times(times, first_frame)
+    solver = solver or hybrid()
+    record = _Record()
+    watchers = (record, *observers)
+    with single_threaded_blas():
+        compile_s = _compile(scene, state, solver)
+        start = time.perf_counter()
+        budget = _Budget(state, max_attempts, max_seconds)
+        state = eqx.tree_at(lambda s: s.result, state, RESULTS.success)
+        for index in range(first_frame, len(times)):
+            state = _advance(scene, state, times[index], solver, watchers, index, budget)
+            if _name(state) != "success":
+                break
+            for watcher in watchers:
+                watcher.frame(index, state)
+        run_s = time.perf_counter() - start
+    solution = _solution(state, record, compile_s, run_s)
+    if throw and solution.result != "success":
+        raise SimulationError(solution)
+    return solution
+
+
+def frame_times(t_end: float, frames: int) -> np.ndarray:
+    """`frames` + 1 evenly spaced times from 0 to `t_end` in s."""
+    if not (np.isfinite(t_end) and t_end > 0):
+        raise ValueError(f"t_end = {t_end!r} s must be a positive time.")
+    if frames < 1:
+        raise ValueError(f"frames = {frames!r} must be at least 1.")
+    return np.linspace(0.0, t_end, frames + 1)
+
+
+def _checked_times(times: Sequence[float] | float, first_frame: int) -> np.ndarray:
+    times = np.atleast_1d(np.asarray(times, float))
+    sound = times.ndim == 1 and np.all(np.isfinite(times)) and np.all(np.diff(times) > 0)
+    if not (sound and times[0] >= 0 and times[-1] > 0):
+        raise ValueError(
+            f"times = {times!r} must be finite, increasing and end after 0: frame times in seconds, "
+            "or the end time."
+        )
+    if not 0 <= first_frame <= len(times):
+        raise ValueError(f"first_frame = {first_frame} lies outside the {len(times)} frame times.")
+    return times
+
+
+class _Budget:
+    """Limits of a run on attempts and on wall time."""
+
+    def __init__(self, state: State, attempts: int | None, seconds: float | None):
+        self.attempts = np.inf if attempts is None else attempts + _attempts(state)
+        self.deadline = np.inf if seconds is None else time.perf_counter() + seconds
+
+    def exceeded(self, state: State) -> bool:
+        return _attempts(state) >= self.attempts or time.perf_counter() > self.deadline
+
+
+def _attempts(state: State) -> int:
+    counters = state.counters
+    return int(counters.quasistatic) + int(counters.dynamic) + int(np.sum(counters.rejected))
+
+
+def _compile(scene: Scene, state: State, solver: Hybrid) -> float:
+    """Compile by a call that has nothing to do; return the seconds it took."""
+    start = time.perf_counter()
+    jax.block_until_ready(_integrate(scene, state, state.t, solver))
+    return time.perf_counter() - start
+
+
+def _advance(scene, state: State, t_stop: float, solver, watchers, frames: int, budget: _Budget) -> State:
+    while float(state.t) < t_stop:
+        if budget.exceeded(state):
+            return eqx.tree_at(lambda s: s.result, state, RESULTS.budget)
+        state, log = _integrate(scene, state, jnp.asarray(t_stop), solver)
+        rows = np.asarray(log.rows[: int(log.count)])
+        history, events = history_table(rows), events_table(rows)
+        for watcher in watchers:
+            watcher.chunk(state, history, events, frames)
+        if _name(state) != "success":
+            return state
+    return state
+
+
+def history_table(rows: np.ndarray) -> pd.DataFrame:
+    """Rows of a `Log` as a table with the columns of `Row`; the stage in words."""
+    table = pd.DataFrame(rows, columns=list(Row._fields))
+    counts = ("kind", "order", *(name for name in Row._fields if name.endswith(("_steps", "_iterations"))))
+    table = table.astype(dict.fromkeys(counts, int))
+    table["stage"] = [STAGES[int(stage)] for stage in table["stage"]]
+    return table
+
+
+def events_table(rows: np.ndarray) -> pd.DataFrame:
+    """Changes of stage among the rows of a `Log`, with energies in J before and after."""
+    events = []
+    before: Row | None = None
+    for values in rows:
+        row = Row(*values)
+        if row.kind == BEFORE:
+            before = row
+        elif row.kind == AFTER and before is not None:
+            events.append(_event(before, row))
+    columns = ["t", "from", "to", "acceleration_mean", "h"]
+    columns += [f"{name}_{side}" for side in ("before", "after") for name in ENERGIES]
+    return pd.DataFrame(events, columns=columns)
+
+
+def _event(before: Row, after: Row) -> dict:
+    event = {
+        "t": before.t,
+        "from": STAGES[int(before.stage)],
+        "to": STAGES[int(after.stage)],
+        "acceleration_mean": before.acceleration_mean,
+        "h": after.h,
+    }
+    for side, row in (("before", before), ("after", after)):
+        event |= {f"{name}_{side}": getattr(row, name) for name in ENERGIES}
+    return event
+
+
+def _name(state: State) -> str:
+    """Name of the state's result."""
+    for name in RESULT_NAMES:
+        if bool(state.result == getattr(RESULTS, name)):
+            return name
+    raise AssertionError("unknown result")
+
+
+def _solution(state: State, record: _Record, compile_s: float, run_s: float) -> Solution:
+    name = _name(state)
+    shape = state.x.shape
+    empty_rows = np.zeros((0, len(Row._fields)))
+    return Solution(
+        state=state,
+        result=name,
+        message=RESULTS[getattr(RESULTS, name)],
+        t=np.array(record.t),
+        x=np.array(record.x).reshape(-1, *shape),
+        v=np.array(record.v).reshape(-1, *shape),
+        p=None if state.p is None else np.array(record.p).reshape(-1, state.p.shape[0]),
+        history=_joined(record.history, history_table(empty_rows)),
+        events=_joined(record.events, events_table(empty_rows)),
+        compile_s=compile_s,
+        run_s=run_s,
+    )
+
+
+def _joined(tables: list[pd.DataFrame], empty: pd.DataFrame) -> pd.DataFrame:
+    filled = [table for table in tables if len(table)]
+    return pd.concat(filled, ignore_index=True) if filled else empty
+
+
+def explain(before: State, after: State) -> str:
+    """What the steps between two states were spent on, and why the run is slow if it is."""
+    quasistatic = int(after.counters.quasistatic) - int(before.counters.quasistatic)
+    dynamic = int(after.counters.dynamic) - int(before.counters.dynamic)
+    rejected = np.asarray(after.counters.rejected) - np.asarray(before.counters.rejected)
+    reasons = {
+        "error": "the tolerance",
+        "newton": "Newton's iteration failing on large steps",
+        "unstable": "an equilibrium about to buckle",
+        "fold": "hinges about to pass 180 degrees",
+        "nonfinite": "steps that are not finite",
+    }
+    if dynamic > quasistatic:
+        return f"a snap: explicit steps of {float(after.h_explicit):.1e} s, at their stability limit"
+    worst = int(np.argmax(rejected))
+    if rejected[worst] * 4 > quasistatic:
+        return f"steps are cut by {reasons[CAUSES[worst]]}"
+    return ""

@@ -1,0 +1,59 @@
+"""The physical figures of a run's summary."""
+
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+import pandas as pd
+
+from jaxcrumple.measure.creases import crease_length, folded_hinges
+from jaxcrumple.measure.strain import edge_strain
+from jaxcrumple.scenes import Setup
+from jaxcrumple.system import CAUSES, State, energies
+
+_energies = eqx.filter_jit(energies)
+
+
+def physics(setup: Setup, state: State, history: pd.DataFrame, events: pd.DataFrame) -> dict[str, Any]:
+    """Energies in J, strains, penetration in m, creases in m, and what each stage took."""
+    mesh, scene = setup.mesh, setup.scene
+    x = np.asarray(state.x)
+    p = np.asarray(scene.rest_curvature(state.p))
+    parts = _energies(scene, state.x, state.v, state.p, state.t)
+    strain = edge_strain(mesh, x)
+    gaps = [np.min(np.asarray(wall.gap(state.x, state.t))) for wall in scene.walls]
+    rejected = np.asarray(state.counters.rejected)
+    return {
+        "rejected_by_cause": {cause: int(rejected[i]) for i, cause in enumerate(CAUSES)},
+        "energy": {name: float(value) for name, value in parts._asdict().items()},
+        "max_edge_strain": float(np.max(np.abs(strain))),
+        "rms_edge_strain": float(np.sqrt(np.mean(strain**2))),
+        "max_wall_penetration": float(max([0.0, *(-gap for gap in gaps)])),
+        "inverted_hinges": folded_hinges(mesh, x),
+        "crease_length": crease_length(mesh, p),
+        "dynamic_share": dynamic_share(state, events),
+        "step_size_s": _quantiles(history),
+    }
+
+
+def dynamic_share(state: State, events: pd.DataFrame) -> dict[str, float]:
+    """Share of the simulated time and of the steps that the dynamic stage took."""
+    total, since, spent = float(state.t), None, 0.0
+    for event in events.itertuples():
+        if event.to == "dynamic":
+            since = event.t
+        elif since is not None:
+            spent, since = spent + event.t - since, None
+    spent += total - since if since is not None else 0.0
+    steps = int(state.counters.dynamic) + int(state.counters.quasistatic)
+    return {"time": spent / total if total else 0.0, "steps": int(state.counters.dynamic) / max(steps, 1)}
+
+
+def _quantiles(history: pd.DataFrame) -> dict[str, dict[str, float]]:
+    """Step sizes at 10, 50 and 90 % by stage."""
+    steps = history[history["kind"] == 0]
+    shares = {"10%": 0.1, "50%": 0.5, "90%": 0.9}
+    return {
+        str(stage): {name: float(group["h"].quantile(q)) for name, q in shares.items()}
+        for stage, group in steps.groupby("stage")
+    }

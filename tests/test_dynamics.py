@@ -1,0 +1,192 @@
+"""The dynamic stage through `integrate`: energy, damping, momenta, gravity and prescribed motion."""
+
+import functools
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from lattice import SPACING, advance, constants, held, start, strip_scene
+
+from jaxcrumple.solvers.explicit import stability_limit
+from jaxcrumple.solvers.hybrid import hybrid
+from jaxcrumple.solvers.switch import Switch
+from jaxcrumple.system import DYNAMIC, QUASISTATIC, energies, tangent
+
+strip = functools.cache(strip_scene)
+# A dwell that never ends keeps a run in the dynamic stage.
+FOREVER = Switch(dwell=1e30)
+
+
+def solver(rtol, max_step=np.inf):
+    """The hybrid integrator, held in the stage it starts in, with steps of at most `max_step`."""
+    options = hybrid(rtol, switch=eqx.tree_at(lambda s: s.up, FOREVER, jnp.asarray(jnp.inf)))
+    return eqx.tree_at(lambda s: s.max_step, options, jnp.asarray(max_step))
+
+
+def with_terms(scene, *, drag=0.0, internal=0.0, gravity=(0.0, 0.0, 0.0)):
+    """The scene with drag rate (1/s), internal damping time (s) and gravity (m/s2)."""
+    return eqx.tree_at(
+        lambda s: (s.drag.coefficient, s.damping.coefficient, s.gravity.g),
+        scene,
+        (drag * scene.mass, internal * scene.membrane.stiffness, jnp.asarray(gravity)),
+    )
+
+
+def total_energy(scene, state):
+    return float(sum(energies(scene, state.x, state.v, state.p, state.t)))
+
+
+@functools.cache
+def modes():
+    """Frequencies (3n,) and unit modes (3n, 3n) of the flat strip; nodes have equal mass."""
+    mesh, scene = strip()
+    stiffness = tangent(scene, start(scene, mesh.vertices)).toarray()
+    squared, shapes = np.linalg.eigh(stiffness / constants(scene)[2])
+    return np.sqrt(np.maximum(squared, 0.0)), shapes
+
+
+def membrane_mode(target):
+    """Frequency and shape (n, 3) of the in-plane mode whose frequency is nearest to `target`."""
+    omega, shapes = modes()
+    flat = np.sum(shapes.reshape(-1, 3, len(omega))[:, 2] ** 2, axis=0) < 1e-12
+    pick = np.flatnonzero(flat)[np.argmin(np.abs(omega[flat] - target))]
+    return omega[pick], shapes[:, pick].reshape(-1, 3)
+
+
+# --- Energy --------------------------------------------------------------------------------------
+
+
+def test_energy_of_an_undamped_mode_falls_as_predicted():
+    mesh, scene = strip()
+    omega, shape = membrane_mode(1.4e6)
+    h, steps = 1.0 / omega, 200
+    state = start(scene, mesh.vertices + 1e-9 * shape, stage=DYNAMIC)
+    end = advance(scene, state, steps * h, solver(1e-3, h))
+    assert int(end.counters.dynamic) == steps
+    # |R(iz)|^2 = 1 - z^6/72 + z^8/576 at z = omega h = 1
+    expected = (1 - 1 / 72 + 1 / 576) ** steps
+    print(total_energy(scene, end) / total_energy(scene, state), expected)
+    assert total_energy(scene, end) / total_energy(scene, state) == pytest.approx(expected, rel=1e-3)
+
+
+def test_energy_of_a_shaken_sheet_never_grows():
+    mesh, scene = strip()
+    rng = np.random.default_rng(0)
+    x = mesh.vertices + 0.05 * SPACING * rng.normal(size=mesh.vertices.shape)
+    state = start(scene, x, stage=DYNAMIC)
+    limit = float(stability_limit(scene, state.x))
+    options = solver(1e-3)
+    energy = [total_energy(scene, state)]
+    for t in np.arange(1, 6) * 40 * limit:
+        state = advance(scene, state, t, options)
+        energy.append(total_energy(scene, state))
+    print(energy / energy[0])
+    assert np.all(np.diff(energy) < 0)
+
+
+def test_energy_drift_falls_with_the_fifth_power_of_the_step():
+    """The drift rate of RK4 is omega^6 h^5/72, for every mode of a strongly shaken sheet alike."""
+    mesh, scene = strip()
+    rng = np.random.default_rng(0)
+    x = mesh.vertices + 0.05 * SPACING * rng.normal(size=mesh.vertices.shape)
+    state = start(scene, x, stage=DYNAMIC)
+    limit = float(stability_limit(scene, state.x))
+    first = total_energy(scene, state)
+    loss = [
+        1 - total_energy(scene, advance(scene, state, 32 * limit, solver(0.09, share * limit))) / first
+        for share in (0.25, 0.125)
+    ]
+    print(loss, np.log2(loss[0] / loss[1]))
+    assert np.log2(loss[0] / loss[1]) == pytest.approx(5.0, abs=0.3)
+
+
+# --- Damping -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("drag, internal", [(2e4, 0.0), (0.0, 5e-8), (1e4, 5e-8)])
+def test_damping_ratio_of_a_mode(drag, internal):
+    mesh, scene = strip()
+    scene = with_terms(scene, drag=drag, internal=internal)
+    omega, shape = membrane_mode(5e5)
+    state = start(scene, mesh.vertices + 1e-9 * shape, stage=DYNAMIC)
+    zeta = internal * omega / 2 + drag / (2 * omega)
+    damped = omega * np.sqrt(1 - zeta**2)
+
+    def amplitude(state):
+        q = np.sum(shape * (np.asarray(state.x) - mesh.vertices))
+        dq = np.sum(shape * np.asarray(state.v))
+        return np.hypot(q, (dq + zeta * omega * q) / damped)
+
+    duration = 40 / omega
+    end = advance(scene, state, duration, solver(1e-3, 0.1 / omega))
+    measured = np.log(amplitude(state) / amplitude(end)) / (omega * duration)
+    print(zeta, measured, measured / zeta - 1)
+    assert measured == pytest.approx(zeta, rel=1e-3)
+
+
+# --- Rigid motion --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("drag", [0.0, 50.0])
+def test_free_fall(drag):
+    mesh, scene = strip()
+    g = np.array([1.0, -2.0, -9.81])
+    scene = with_terms(scene, drag=drag, internal=2e-7, gravity=g)
+    v0 = np.array([0.3, 0.0, 0.1])
+    state = start(scene, mesh.vertices, np.broadcast_to(v0, mesh.vertices.shape), stage=DYNAMIC)
+    t = 2e-3
+    end = advance(scene, state, t, solver(1e-6))
+    if drag:
+        limit, decay = g / drag, np.exp(-drag * t)
+        v = limit + (v0 - limit) * decay
+        shift = limit * t + (v0 - limit) * (1 - decay) / drag
+    else:
+        v, shift = v0 + g * t, v0 * t + g * t**2 / 2
+    np.testing.assert_allclose(end.v, np.broadcast_to(v, mesh.vertices.shape), atol=1e-10)
+    np.testing.assert_allclose(end.x - mesh.vertices, np.broadcast_to(shift, end.x.shape), atol=1e-12)
+
+
+def momenta(scene, state):
+    """Linear and angular momentum about the origin."""
+    p = np.asarray(scene.mass)[:, None] * np.asarray(state.v)
+    return p.sum(axis=0), np.cross(np.asarray(state.x), p).sum(axis=0)
+
+
+def test_a_flying_and_spinning_sheet_keeps_its_momenta():
+    mesh, scene = strip()
+    scene = with_terms(scene, internal=2e-7)
+    spin, flight = np.array([300.0, -200.0, 500.0]), np.array([0.5, 0.2, -0.1])
+    v = np.cross(spin, mesh.vertices) + flight
+    state = start(scene, mesh.vertices, v, stage=DYNAMIC)
+    end = advance(scene, state, 1.6e-3, solver(1e-6))
+    # About one radian of rotation.
+    linear, angular = momenta(scene, state)
+    linear_end, angular_end = momenta(scene, end)
+    turned = np.asarray(end.x)[-1] - np.asarray(end.x)[0]
+    print(turned, mesh.vertices[-1]-mesh.vertices[0], linear_end-linear, (angular_end - angular)/np.linalg.norm(angular), end.counters.dynamic)
+    np.testing.assert_allclose(linear_end, linear, atol=1e-10 * np.linalg.norm(linear))
+    np.testing.assert_allclose(angular_end, angular, atol=1e-10 * np.linalg.norm(angular))
+
+
+# --- Prescribed motion ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stage", [DYNAMIC, QUASISTATIC])
+def test_prescribed_nodes_follow_their_motion_exactly(stage):
+    mesh, scene = strip()
+    scene = with_terms(scene, drag=1e3, internal=2e-7)
+    velocity = np.array([0.02, 0.01, -0.03])
+    mask = np.zeros((mesh.n_nodes, 3), bool)
+    mask[mesh.vertices[:, 0] < -3.4 * SPACING] = True
+    mask[-1, 2] = True
+    scene = eqx.tree_at(lambda s: s.prescribed, scene, held(mask, mesh.vertices, velocity))
+    state = start(scene, mesh.vertices, np.where(mask, velocity, 0.0), stage=stage)
+    t = 3e-4
+    end = advance(scene, state, t, solver(1e-5))
+    expected = mesh.vertices + velocity * t
+    np.testing.assert_allclose(np.asarray(end.x)[mask], expected[mask], rtol=1e-15, atol=1e-18)
+    np.testing.assert_allclose(np.asarray(end.v)[mask], np.broadcast_to(velocity, mask.shape)[mask], rtol=1e-9)
+    assert int(end.stage) == stage
+    moved = np.asarray(end.x) - mesh.vertices
+    assert 0 < np.abs(moved[~mask]).max() < 1.5 * np.abs(velocity).max() * t

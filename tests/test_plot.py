@@ -1,0 +1,159 @@
+"""Pictures are written, whole and with something in them, and leave matplotlib as it was."""
+
+import matplotlib as mpl
+import matplotlib.image
+import numpy as np
+import pandas as pd
+import pytest
+
+from jaxcrumple import plot
+from jaxcrumple.io import RunDirectory, RunDirectoryError
+from jaxcrumple.measure import hinge_curvature
+from jaxcrumple.meshgen import rectangle
+from jaxcrumple.solvers.log import AFTER, BEFORE, STEP, Row
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return rectangle(0.1, 0.1, 300, sweeps=20)
+
+
+@pytest.fixture(scope="module")
+def folded(mesh):
+    """A sheet with a mountain and a valley along y, and its rest curvature."""
+    u = mesh.vertices[:, 0]
+    x = mesh.vertices * [0.8, 1, 1]
+    x[:, 2] = 0.6 * (np.abs(u - 0.02) - np.abs(u + 0.02))
+    return x, 0.8 * hinge_curvature(mesh, x)
+
+
+@pytest.fixture(scope="module")
+def history():
+    count = 40
+    table = pd.DataFrame(np.zeros((count, len(Row._fields))), columns=list(Row._fields))
+    table["t"] = np.linspace(0, 1, count)
+    table["kind"] = STEP
+    table["h"] = np.geomspace(1e-6, 1e-2, count)
+    table["acceleration_mean"] = np.geomspace(1e-3, 1e-10, count)
+    table["bending"], table["kinetic"] = 1e-3 * table["t"], 1e-15
+    table["stage"] = ["dynamic"] * 20 + ["quasistatic"] * 20
+    table.loc[19, "kind"], table.loc[20, "kind"] = BEFORE, AFTER
+    return table
+
+
+def colors(path):
+    """Number of different colours of a picture."""
+    pixels = matplotlib.image.imread(path)
+    assert min(pixels.shape[:2]) > 400
+    return len(np.unique(np.round(255 * pixels[..., :3]).reshape(-1, 3), axis=0))
+
+
+def figure_of(monkeypatch):
+    """Keep the figures that are saved, to look at their parts."""
+    figures = []
+    original = plot._save
+    monkeypatch.setattr(
+        plot, "_save", lambda figure, path: (figures.append(figure), original(figure, path))[1]
+    )
+    return figures
+
+
+def test_sheet(tmp_path, mesh, folded, monkeypatch):
+    figures = figure_of(monkeypatch)
+    path = tmp_path / "sheet.png"
+    assert plot.plot_sheet(mesh, folded[0], caption="n = 300, rtol = 1e-4", path=path) == path
+    assert colors(path) > 100
+    axes, bar = figures[0].axes
+    assert figures[0].get_suptitle() == "n = 300, rtol = 1e-4"
+    assert bar.get_ylabel() == "mean curvature $H$ [1/m]"
+    spans = [np.ptp(limits) for limits in (axes.get_xlim(), axes.get_ylim(), axes.get_zlim())]
+    assert np.allclose(axes._box_aspect / axes._box_aspect[0], np.array(spans) / spans[0])  # equal scales
+    assert np.ptp(axes.get_xlim()) >= 1e3 * np.ptp(folded[0][:, 0])
+
+
+def test_sheet_in_other_colors(tmp_path, mesh, folded):
+    for color in (mesh.vertices[:, 0], mesh.face_area, np.zeros(mesh.n_nodes)):
+        plot.plot_sheet(mesh, folded[0], color=color, label="area [m2]", path=tmp_path / "a.png")
+    assert (tmp_path / "a.png").stat().st_size > 10_000
+
+
+def test_creases(tmp_path, mesh, folded, monkeypatch):
+    figures = figure_of(monkeypatch)
+    assert colors(plot.plot_creases(mesh, *folded, path=tmp_path / "c.png")) > 100
+    axes = figures[0].axes[0]
+    mountain, valley = (lines.get_segments() for lines in axes.collections[1:])
+    middles = [1e-3 * np.mean([segment.mean(axis=0)[0] for segment in kind]) for kind in (mountain, valley)]
+    # z = 0.6 (|u - 0.02| - |u + 0.02|) is convex seen from below at 0.02 and from above at -0.02.
+    upward = np.sign(
+        np.cross(*(mesh.vertices[mesh.faces[0, k]] - mesh.vertices[mesh.faces[0, 0]] for k in (1, 2)))
+    )
+    assert middles == pytest.approx([-0.02 * upward[2], 0.02 * upward[2]], abs=3e-3)
+    labels = [text.get_text() for text in figures[0].legends[0].get_texts()]
+    assert [label.split(",")[0] for label in labels] == ["mountain", "valley"]
+
+
+def test_flat_new_sheet(tmp_path, mesh):
+    plot.plot_sheet(mesh, mesh.vertices, path=tmp_path / "a.png")
+    plot.plot_creases(mesh, mesh.vertices, mesh.rest_curvature, path=tmp_path / "b.png")
+
+
+def test_steps(tmp_path, history, monkeypatch):
+    figures = figure_of(monkeypatch)
+    path = tmp_path / "s.png"
+    assert colors(plot.plot_steps(history, thresholds=(3e-6, 1e-5), path=path)) > 10
+    top, bottom = figures[0].axes
+    assert top.get_yscale() == bottom.get_yscale() == "log"
+    assert top.get_ylabel() == "step $h$ [s]"
+    assert sum(line.get_linestyle() == "--" for line in bottom.lines) == 2
+    assert "1 switches" in [text.get_text() for text in figures[0].legends[0].get_texts()]
+    events = pd.DataFrame({"t": [0.1, 0.5, 0.7], "to": ["dynamic", "quasistatic", None]})
+    plot.plot_steps(history, events, path=path)
+    assert "2 switches" in [text.get_text() for text in figures[1].legends[0].get_texts()]
+
+
+def test_energies(tmp_path, history, monkeypatch):
+    figures = figure_of(monkeypatch)
+    plot.plot_energies(history, caption="n = 300", path=tmp_path / "e.png")
+    axes = figures[0].axes[0]
+    assert [line.get_label() for line in axes.lines] == ["bending", "kinetic"]
+    assert axes.get_ylabel() == "energy [J]"
+
+
+def test_empty_histories_are_refused(tmp_path, history):
+    for table in (history[:0], pd.DataFrame()):
+        with pytest.raises(ValueError, match="no steps to plot"):
+            plot.plot_steps(table, path=tmp_path / "s.png")
+        with pytest.raises(ValueError, match="no rows to plot"):
+            plot.plot_energies(table, path=tmp_path / "s.png")
+
+
+def test_wrong_input_is_refused(tmp_path, mesh, folded):
+    with pytest.raises(ValueError, match="one value per node or per face"):
+        plot.plot_sheet(mesh, folded[0], color=np.zeros(3), path=tmp_path / "a.png")
+    with pytest.raises(ValueError, match="'bmpp' is not supported"):
+        plot.plot_sheet(mesh, folded[0], path=tmp_path / "a.bmpp")
+    with pytest.raises(RunDirectoryError, match="cannot write"):
+        plot.plot_sheet(mesh, folded[0], path=tmp_path / "nowhere" / "a.png")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_pictures_of_a_run(tmp_path, mesh, folded, history):
+    x, p = folded
+    config = {"scene": "radial", "solver": {"rtol": 1e-4, "switch_up": 1e-5, "switch_down": 3e-6}}
+    folder = RunDirectory.create(tmp_path / "run", config)
+    folder.save_mesh(mesh)
+    folder.save_frame(0, 0.0, x, 0 * x, p)
+    assert [path.name for path in plot.plot_run(folder.path)] == ["sheet.png", "creases.png"]
+    folder.append_history(list(history.columns), history.to_numpy())
+    names = ["sheet.png", "creases.png", "steps.png", "energies.png"]
+    assert [path.name for path in plot.plot_run(folder.path)] == names
+    assert all((folder.path / name).is_file() for name in names)
+
+
+def test_matplotlib_is_left_as_it_was(tmp_path, mesh, folded):
+    import matplotlib.pyplot as plt
+
+    before = dict(mpl.rcParams)
+    plot.plot_sheet(mesh, folded[0], path=tmp_path / "a.svg")
+    assert dict(mpl.rcParams) == before
+    assert plt.get_fignums() == []
