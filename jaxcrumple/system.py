@@ -37,7 +37,8 @@ class History(eqx.Module):
     """Accepted quasistatic points, newest first.
 
     `x` (4, n, 3); `p` (4, h) or None; `steps` (4,): `steps[j]` is the time between points j and
-    j+1; `count`: how many points are valid.
+    j+1; `count`: how many points are valid. 0 means that the one point's velocity does not balance
+    the forces yet (a start, or the end of a dynamic stage): the next step aligns it.
     """
 
     x: Array
@@ -99,31 +100,32 @@ def initial_state(scene: Scene, x: Array, v: Array | None = None, *, window: int
     v = jnp.zeros_like(x) if v is None else jnp.asarray(v, float)
     if v.shape != x.shape or not np.all(np.isfinite(v)):
         raise ValueError(f"v must be finite and of the shape of x, {x.shape}; got shape {v.shape}.")
-    zero = jnp.asarray(0)
+    # Explicit types: weakly typed leaves would make the second call of a program compile again.
+    zero, nought = jnp.asarray(0, int), jnp.asarray(0.0, float)
     p = None if scene.plasticity is None else scene.bending.rest_curvature
     return State(
-        t=jnp.asarray(0.0),
+        t=nought,
         x=x,
         v=v,
         p=p,
-        h=jnp.asarray(0.0),
-        h_explicit=jnp.asarray(0.0),
-        stage=jnp.asarray(QUASISTATIC),
+        h=nought,
+        h_explicit=nought,
+        stage=jnp.asarray(QUASISTATIC, int),
         history=restart_history(x, p),
-        monitor=Monitor(jnp.zeros(window), zero, jnp.asarray(0.0)),
+        monitor=Monitor(jnp.zeros(window), zero, nought),
         counters=Counters(zero, zero, jnp.zeros(len(CAUSES), int), zero, zero, zero),
         result=RESULTS.success,
     )
 
 
 def restart_history(x: Array, p: Array | None) -> History:
-    """History that holds the current point alone."""
+    """History that holds the current point alone, with a velocity that nobody vouches for."""
 
     def repeat(a: Array) -> Array:
         return jnp.broadcast_to(a, (HISTORY, *a.shape))
 
     past = None if p is None else repeat(p)
-    return History(repeat(x), past, jnp.ones(HISTORY), jnp.asarray(1))
+    return History(repeat(x), past, jnp.ones(HISTORY), jnp.asarray(0, int))
 
 
 class Energies(NamedTuple):

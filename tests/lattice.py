@@ -1,7 +1,6 @@
 """Small sheets and helpers that several physics tests share."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -9,8 +8,10 @@ from jaxcrumple.material import Material
 from jaxcrumple.meshgen import hexagonal
 from jaxcrumple.model.loads import LinearMotion, Prescribed
 from jaxcrumple.model.scene import sheet
-from jaxcrumple.solvers.hybrid import integrate
-from jaxcrumple.system import RESULTS, initial_state
+from jaxcrumple.solvers.explicit import stability_limit
+from jaxcrumple.solvers.hybrid import hybrid, integrate
+from jaxcrumple.solvers.switch import Switch
+from jaxcrumple.system import QUASISTATIC, RESULTS, initial_state
 
 SPACING = 1e-3
 ROW = np.sqrt(3) / 2 * SPACING
@@ -18,6 +19,8 @@ CELL = SPACING * ROW  # area per node
 
 # One jitted function for all files, so that equal structures compile once.
 run = eqx.filter_jit(integrate)
+# Thresholds that no run reaches: each stays in the stage it starts in.
+FOREVER = Switch(up=np.inf, dwell=1e30)
 
 
 def elastic(**properties):
@@ -53,7 +56,21 @@ def strip_scene():
     return mesh, eqx.tree_at(lambda s: (s.drag.coefficient, s.damping.coefficient), scene, off)
 
 
-def advance(scene, state, t_stop, solver, calls=400):
+def solver(rtol, max_step=np.inf):
+    """The hybrid integrator that keeps to its stage."""
+    return hybrid(rtol, switch=FOREVER, max_step=max_step)
+
+
+def with_terms(scene, *, drag=0.0, internal=0.0, gravity=(0.0, 0.0, 0.0)):
+    """The scene with drag rate (1/s), internal damping time (s) and gravity (m/s2)."""
+    return eqx.tree_at(
+        lambda s: (s.drag.coefficient, s.damping.coefficient, s.gravity.g),
+        scene,
+        (drag * scene.mass, internal * scene.membrane.stiffness, jnp.asarray(gravity)),
+    )
+
+
+def advance(scene, state, t_stop, solver, calls=20):
     """Integrate to `t_stop`, however many budgets it takes."""
     for _ in range(calls):
         state, _ = run(scene, state, jnp.asarray(float(t_stop)), solver)
@@ -63,17 +80,15 @@ def advance(scene, state, t_stop, solver, calls=400):
     raise AssertionError(f"t = {float(state.t)} after {calls} calls, asked for {t_stop}")
 
 
-def start(scene, x, v=None, stage=None):
-    """Initial state, in the given stage."""
+def start(scene, x, v=None, stage=QUASISTATIC):
+    """Initial state in the given stage."""
     state = initial_state(scene, x, v)
-    return state if stage is None else eqx.tree_at(lambda s: s.stage, state, jnp.asarray(stage))
+    if stage == QUASISTATIC:
+        return state
+    first = stability_limit(scene, state.x)
+    return eqx.tree_at(lambda s: (s.stage, s.h_explicit), state, (jnp.asarray(stage), first))
 
 
 def angle_rotation(angle):
     """Rotation of the plane by `angle`, (2, 2)."""
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-
-
-def to_device(tree):
-    """Leaves of `tree` as JAX arrays."""
-    return jax.tree.map(jnp.asarray, tree)

@@ -639,7 +639,7 @@ def stop_formulas(theta):
 def test_fold_stop_and_its_closed_derivatives():
     theta = np.concatenate([np.linspace(-3.14, 3.14, 2001), [0.0, FOLD_STOP, -FOLD_STOP]])
     value, first, second = stop_formulas(theta)
-    stop = [bending.fold_stop(jnp.asarray(theta)), *bending._stop_derivatives(jnp.asarray(theta))]
+    stop = [bending.fold_stop(jnp.asarray(theta)), *bending.stop_derivatives(jnp.asarray(theta))]
     for actual, expected in zip(stop, (value, first, second), strict=True):
         assert np.max(np.abs(actual - expected) / (1.0 + np.abs(expected))) < 1e-9
     slope = jax.grad(bending.fold_stop)

@@ -3,34 +3,14 @@
 import functools
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from lattice import SPACING, advance, constants, held, start, strip_scene
+from lattice import SPACING, advance, constants, held, solver, start, strip_scene, with_terms
 
 from jaxcrumple.solvers.explicit import stability_limit
-from jaxcrumple.solvers.hybrid import hybrid
-from jaxcrumple.solvers.switch import Switch
 from jaxcrumple.system import DYNAMIC, QUASISTATIC, energies, tangent
 
 strip = functools.cache(strip_scene)
-# A dwell that never ends keeps a run in the dynamic stage.
-FOREVER = Switch(dwell=1e30)
-
-
-def solver(rtol, max_step=np.inf):
-    """The hybrid integrator, held in the stage it starts in, with steps of at most `max_step`."""
-    options = hybrid(rtol, switch=eqx.tree_at(lambda s: s.up, FOREVER, jnp.asarray(jnp.inf)))
-    return eqx.tree_at(lambda s: s.max_step, options, jnp.asarray(max_step))
-
-
-def with_terms(scene, *, drag=0.0, internal=0.0, gravity=(0.0, 0.0, 0.0)):
-    """The scene with drag rate (1/s), internal damping time (s) and gravity (m/s2)."""
-    return eqx.tree_at(
-        lambda s: (s.drag.coefficient, s.damping.coefficient, s.gravity.g),
-        scene,
-        (drag * scene.mass, internal * scene.membrane.stiffness, jnp.asarray(gravity)),
-    )
 
 
 def total_energy(scene, state):
@@ -66,7 +46,6 @@ def test_energy_of_an_undamped_mode_falls_as_predicted():
     assert int(end.counters.dynamic) == steps
     # |R(iz)|^2 = 1 - z^6/72 + z^8/576 at z = omega h = 1
     expected = (1 - 1 / 72 + 1 / 576) ** steps
-    print(total_energy(scene, end) / total_energy(scene, state), expected)
     assert total_energy(scene, end) / total_energy(scene, state) == pytest.approx(expected, rel=1e-3)
 
 
@@ -81,12 +60,11 @@ def test_energy_of_a_shaken_sheet_never_grows():
     for t in np.arange(1, 6) * 40 * limit:
         state = advance(scene, state, t, options)
         energy.append(total_energy(scene, state))
-    print(energy / energy[0])
     assert np.all(np.diff(energy) < 0)
 
 
 def test_energy_drift_falls_with_the_fifth_power_of_the_step():
-    """The drift rate of RK4 is omega^6 h^5/72, for every mode of a strongly shaken sheet alike."""
+    """A mode loses energy at the rate omega^6 h^5/72; the stiffest modes dominate the loss."""
     mesh, scene = strip()
     rng = np.random.default_rng(0)
     x = mesh.vertices + 0.05 * SPACING * rng.normal(size=mesh.vertices.shape)
@@ -97,14 +75,13 @@ def test_energy_drift_falls_with_the_fifth_power_of_the_step():
         1 - total_energy(scene, advance(scene, state, 32 * limit, solver(0.09, share * limit))) / first
         for share in (0.25, 0.125)
     ]
-    print(loss, np.log2(loss[0] / loss[1]))
     assert np.log2(loss[0] / loss[1]) == pytest.approx(5.0, abs=0.3)
 
 
 # --- Damping -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("drag, internal", [(2e4, 0.0), (0.0, 5e-8), (1e4, 5e-8)])
+@pytest.mark.parametrize(("drag", "internal"), [(2e4, 0.0), (0.0, 5e-8), (1e4, 5e-8)])
 def test_damping_ratio_of_a_mode(drag, internal):
     mesh, scene = strip()
     scene = with_terms(scene, drag=drag, internal=internal)
@@ -121,7 +98,6 @@ def test_damping_ratio_of_a_mode(drag, internal):
     duration = 40 / omega
     end = advance(scene, state, duration, solver(1e-3, 0.1 / omega))
     measured = np.log(amplitude(state) / amplitude(end)) / (omega * duration)
-    print(zeta, measured, measured / zeta - 1)
     assert measured == pytest.approx(zeta, rel=1e-3)
 
 
@@ -160,11 +136,10 @@ def test_a_flying_and_spinning_sheet_keeps_its_momenta():
     v = np.cross(spin, mesh.vertices) + flight
     state = start(scene, mesh.vertices, v, stage=DYNAMIC)
     end = advance(scene, state, 1.6e-3, solver(1e-6))
-    # About one radian of rotation.
     linear, angular = momenta(scene, state)
     linear_end, angular_end = momenta(scene, end)
-    turned = np.asarray(end.x)[-1] - np.asarray(end.x)[0]
-    print(turned, mesh.vertices[-1]-mesh.vertices[0], linear_end-linear, (angular_end - angular)/np.linalg.norm(angular), end.counters.dynamic)
+    row, turned = mesh.vertices[8] - mesh.vertices[0], np.asarray(end.x)[8] - np.asarray(end.x)[0]
+    assert row @ turned < 0.8 * (row @ row)
     np.testing.assert_allclose(linear_end, linear, atol=1e-10 * np.linalg.norm(linear))
     np.testing.assert_allclose(angular_end, angular, atol=1e-10 * np.linalg.norm(angular))
 
@@ -183,10 +158,13 @@ def test_prescribed_nodes_follow_their_motion_exactly(stage):
     scene = eqx.tree_at(lambda s: s.prescribed, scene, held(mask, mesh.vertices, velocity))
     state = start(scene, mesh.vertices, np.where(mask, velocity, 0.0), stage=stage)
     t = 3e-4
-    end = advance(scene, state, t, solver(1e-5))
+    # Loose: the quasistatic stage starts at rest, with a jump of the velocity it must not stop at.
+    end = advance(scene, state, t, solver(1e-3))
     expected = mesh.vertices + velocity * t
     np.testing.assert_allclose(np.asarray(end.x)[mask], expected[mask], rtol=1e-15, atol=1e-18)
-    np.testing.assert_allclose(np.asarray(end.v)[mask], np.broadcast_to(velocity, mask.shape)[mask], rtol=1e-9)
+    np.testing.assert_allclose(
+        np.asarray(end.v)[mask], np.broadcast_to(velocity, mask.shape)[mask], rtol=1e-9
+    )
     assert int(end.stage) == stage
     moved = np.asarray(end.x) - mesh.vertices
     assert 0 < np.abs(moved[~mask]).max() < 1.5 * np.abs(velocity).max() * t

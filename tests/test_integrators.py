@@ -86,14 +86,14 @@ def test_growth_limits_keep_zero_stability(order):
     assert parasitic_radius(order, GROWTH[order - 1]) < 1.0
 
 
-@pytest.mark.parametrize("order, limit", [(2, 1 + np.sqrt(2)), (3, (1 + np.sqrt(5)) / 2), (4, 1.28)])
+@pytest.mark.parametrize(("order", "limit"), [(2, 1 + np.sqrt(2)), (3, (1 + np.sqrt(5)) / 2), (4, 1.28)])
 def test_growth_that_breaks_zero_stability(order, limit):
     ratio = brentq(lambda r: parasitic_radius(order, r) - 1, 1.05, 4.0)
     assert ratio == pytest.approx(limit, rel=1e-9 if order < 4 else 2e-3)
     assert GROWTH[order - 1] < ratio
 
 
-@pytest.mark.parametrize("order, alpha", [(3, 86.0), (4, 73.4)])
+@pytest.mark.parametrize(("order", "alpha"), [(3, 86.0), (4, 73.4)])
 def test_stability_angle(order, alpha):
     weights, beta = _coefficients(1.0, jnp.ones(HISTORY), order)
     zeta = np.exp(-1j * np.linspace(1e-3, np.pi, 20001))
@@ -219,7 +219,6 @@ def test_order_of_convergence(name, order, varied):
     counts = np.array([80, 160, 320])
     errors = np.array([np.max(solve_bdf(setup, order, grid(n, setup[4] - setup[3], varied))) for n in counts])
     observed = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
-    print(name, order, varied, observed, errors)
     assert observed == pytest.approx(order, abs=0.2)
 
 
@@ -258,17 +257,20 @@ def slope(h, errors):
 def test_runge_kutta_is_of_order_four():
     h = 2.0 / np.array([10, 20, 40, 80])
     exact = solve_ivp(
-        lambda t, y: np.asarray(oscillator(t, y, None)), (0, 2), _START, rtol=1e-12, atol=1e-13, method="DOP853"
+        lambda t, y: np.asarray(oscillator(t, y, None)),
+        (0, 2),
+        _START,
+        rtol=1e-12,
+        atol=1e-13,
+        method="DOP853",
     ).y[:, -1]
     errors = [np.linalg.norm(np.asarray(end_point(step)) - exact) for step in h]
-    print(slope(h, errors))
     assert slope(h, errors) == pytest.approx(4.0, abs=0.2)
 
 
 def test_embedded_method_is_of_order_three():
     h = np.array([0.1, 0.05, 0.025])
     errors = [float(jnp.linalg.norm(single_step(step)[1])) for step in h]
-    print(slope(h, errors))
     assert slope(h, errors) == pytest.approx(4.0, abs=0.2)
     tableau = RK43.tableau
     weights, nodes = tableau.b_sol - tableau.b_error, np.array([0.0, *tableau.c])

@@ -1,4 +1,4 @@
-"""Waves on the lattice: dispersion from the assembled tangent, sound speeds, and the explicit step's limit."""
+"""Waves: dispersion from the assembled tangent, sound speeds, and the limit of the explicit step."""
 
 import functools
 
@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from lattice import CELL, ROW, SPACING, constants, elastic, lattice, start
+from lattice import CELL, SPACING, constants, elastic, lattice, start
 from scipy.sparse.linalg import eigsh
 
 from jaxcrumple.meshgen import rectangle
@@ -159,7 +159,7 @@ def amplification(z):
     return np.abs(1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24)
 
 
-@pytest.mark.parametrize("drag_rate, damping_time", [(0.0, 0.0), (1e3, 2e-7), (1e3, 2e-6), (3e6, 0.0)])
+@pytest.mark.parametrize(("drag_rate", "damping_time"), [(0.0, 0.0), (1e3, 2e-7), (1e3, 2e-6), (3e6, 0.0)])
 def test_no_damped_mode_grows_at_the_stability_limit(drag_rate, damping_time):
     mesh, _, stiffness = patch()
     material = elastic(drag_rate=drag_rate, internal_damping_time=damping_time)
@@ -172,4 +172,4 @@ def test_no_damped_mode_grows_at_the_stability_limit(drag_rate, damping_time):
         decay = internal * squared + drag_rate
         root = np.sqrt(decay**2 / 4 - squared + 0j)
         factors = amplification(limit * np.array([-decay / 2 + root, -decay / 2 - root]))
-            assert factors.max() <= 1 + 1e-12
+        assert factors.max() <= 1 + 1e-12

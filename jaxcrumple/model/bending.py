@@ -44,7 +44,8 @@ def hinge_energy(theta: Array, rest_curvature: Array, stiffness: Array) -> Array
     return stiffness * (0.5 * elastic * elastic + fold_stop(theta))
 
 
-def _stop_derivatives(theta: Array) -> tuple[Array, Array]:
+def stop_derivatives(theta: Array) -> tuple[Array, Array]:
+    """First and second derivative of `fold_stop` by the angle."""
     reach = jnp.pi - FOLD_STOP
     u = jnp.maximum(jnp.abs(theta) - FOLD_STOP, 0.0) / reach
     w = 1.0 / (1.0 - u)
@@ -80,7 +81,7 @@ class Bending(eqx.Module):
         return jnp.sum(self.element_energy(x, p))
 
     def _torque(self, theta: Array, p: Array) -> Array:
-        stop, _ = _stop_derivatives(theta)
+        stop, _ = stop_derivatives(theta)
         return self.stiffness * ((curvature(theta) - p) * jnp.cos(0.5 * theta) + stop)
 
     def force(self, hinges: Hinge, p: Array, n: int) -> Array:
@@ -118,7 +119,7 @@ def hinge_blocks(corners: tuple[Vec, ...], p: Array, stiffness: Array, softening
     geometry = hinge(*corners)
     gradient = hinge_gradient(geometry)
     theta = geometry.theta
-    stop1, stop2 = _stop_derivatives(theta)
+    stop1, stop2 = stop_derivatives(theta)
     slope = jnp.cos(0.5 * theta)
     elastic = curvature(theta) - p
     first = stiffness * (elastic * slope + stop1)

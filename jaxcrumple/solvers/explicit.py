@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxcrumple.model.bending import stop_derivatives
 from jaxcrumple.model.geometry import gather, hinge_gradient, length, outer, sub
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.system import CAUSES, State, rates
@@ -98,9 +99,13 @@ def _stiffness_bound(scene: Scene, x: Array) -> Array:
     spring = 2.0 * scene.membrane.stiffness / length(r) ** 2 * outer(r, r)
     for k in range(2):
         bound = bound.at[scene.membrane.nodes[:, k]].add(jnp.moveaxis(spring, -1, 0))
-    gradient = hinge_gradient(scene.bending.hinges(x))
+    hinges = scene.bending.hinges(x)
+    gradient = hinge_gradient(hinges)
+    # Within the fold stop its own stiffness dominates.
+    _, stop = stop_derivatives(hinges.theta)
+    stiffness = 4.0 * scene.bending.stiffness * (1.0 + stop)
     for k, g in enumerate((gradient.g0, gradient.g1, gradient.g2, gradient.g3)):
-        block = 4.0 * scene.bending.stiffness * outer(g, g)
+        block = stiffness * outer(g, g)
         bound = bound.at[scene.bending.nodes[:, k]].add(jnp.moveaxis(block, -1, 0))
     for wall in scene.walls:
         bound = bound + 2.0 * wall.stiffness[:, None, None] * jnp.eye(3)

@@ -155,7 +155,11 @@ def _quasistatic_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybri
 
 def _quasistatic_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid, limit) -> _Carry:
     state = carry.state
-    h, lands = _clip_step(state.t, jnp.minimum(state.h, solver.max_step), t_stop)
+    wanted = jnp.minimum(state.h, solver.max_step)
+    # The step that aligns the velocity with the forces is as short as an explicit one.
+    aligning = state.history.count == 0
+    wanted = jnp.where(aligning, jnp.minimum(wanted, limit), wanted)
+    h, lands = _clip_step(state.t, wanted, t_stop)
     tried = quasistatic.attempt(scene, state, h, solver.quasistatic, carry.factor)
     ratio = _max_norm(tried.v - state.v) / h / scene.reference_acceleration
     t = jnp.where(lands, t_stop, state.t + h)
@@ -172,7 +176,8 @@ def _quasistatic_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid
     moved = _select(tried.accepted, moved, state)
     suggested = quasistatic.next_step(tried, h)
     # A step shortened only to land on a given time must not make the next one short.
-    suggested = jnp.where(tried.accepted & (h < state.h), jnp.maximum(suggested, state.h), suggested)
+    held = tried.accepted & ((h < wanted) | aligning)
+    suggested = jnp.where(held, jnp.maximum(suggested, state.h), suggested)
     moved = eqx.tree_at(lambda s: s.h, moved, jnp.where(jnp.isfinite(suggested), suggested, 0.1 * h))
     counters = _count(state.counters, QUASISTATIC, tried.accepted, tried.cause, tried.newton, tried.linear)
     moved = eqx.tree_at(lambda s: s.counters, moved, counters)
@@ -250,7 +255,8 @@ def _dynamic_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid) -
 
 def _dynamic_step(scene: Scene, carry: _Carry, t_stop, solver: Hybrid, cap, stages, fresh):
     state = carry.state
-    wanted = jnp.minimum(jnp.minimum(state.h_explicit, cap), solver.max_step)
+    started = state.h_explicit > 0
+    wanted = jnp.minimum(jnp.where(started, jnp.minimum(state.h_explicit, cap), cap), solver.max_step)
     h, lands = _clip_step(state.t, wanted, t_stop)
     tried = explicit.attempt(scene, state, h, cap, stages, fresh, solver.explicit)
     stages = _select(tried.accepted, tried.stages, stages)
