@@ -31,6 +31,9 @@ QUASISTATIC_COST, DYNAMIC_COST = 32, 1
 # One dynamic step in this many is logged: they are short and many.
 DYNAMIC_LOG_EVERY = 16
 LOG_CAPACITY = BUDGET // QUASISTATIC_COST + BUDGET // DYNAMIC_LOG_EVERY + 64
+# A quasistatic step below this share of the explicit stability limit hands over: to integrate the
+# motion is cheaper then. Not 1, because a start at low order may need a few steps that short.
+COLLAPSE = 0.05
 # Relative to the time, a step below this is lost to rounding.
 SMALLEST_STEP = 1e-13
 
@@ -185,8 +188,7 @@ def _quasistatic_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid
     log = append(carry.log, row, tried.accepted)
     done = tried.accepted & lands
     if solver.switch.enabled:
-        # Below the explicit limit an implicit step buys nothing: integrate the motion instead.
-        collapsed = ~tried.accepted & (moved.h < limit)
+        collapsed = ~tried.accepted & (moved.h < COLLAPSE * limit)
         asked = tried.accepted & wants_switch(moved.monitor, moved.stage, solver.switch)
         h_explicit = solver.explicit.safety * limit
         moved, log = _maybe_switch(scene, moved, log, asked | collapsed, DYNAMIC, h_explicit)
