@@ -3,7 +3,7 @@
 import os
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import jax
 import typer
@@ -62,7 +62,7 @@ def run(
 
     folder = out or Path("runs") / scene
     given = {"nodes": nodes, "t_end": t_end, "seed": seed}
-    asked = {key: value for key, value in given.items() if value is not None}
+    asked: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     if resume and not asked and not settings:
         config = stored_config(RunDirectory.open(folder))
     else:

@@ -114,9 +114,18 @@ def configure(
     if scene not in SCENES:
         raise ConfigError(f"scene {scene!r} is unknown{_nearest(scene, SCENES)}.")
     entry = SCENES[scene]
-    groups = {"options": entry.options, "material": MaterialOptions, "solver": SolverOptions}
+    groups: dict[str, type[BaseModel]] = {
+        "options": entry.options,
+        "material": MaterialOptions,
+        "solver": SolverOptions,
+    }
     values: dict[str, Any] = {name: {} for name in groups}
-    top = {"scene": scene, "nodes": nodes, "seed": seed, "t_end": entry.t_end if t_end is None else t_end}
+    top: dict[str, Any] = {
+        "scene": scene,
+        "nodes": nodes,
+        "seed": seed,
+        "t_end": entry.t_end if t_end is None else t_end,
+    }
     for key, value in _pairs(settings):
         if key == "frames":
             top[key] = value
@@ -148,7 +157,7 @@ def _pairs(settings: Sequence[str] | Mapping[str, Any]) -> list[tuple[str, Any]]
     return pairs
 
 
-def _group(key: str, groups: Mapping[str, type[Options]]) -> str:
+def _group(key: str, groups: Mapping[str, type[BaseModel]]) -> str:
     for name, model in groups.items():
         if key in model.model_fields:
             return name
@@ -163,7 +172,7 @@ def _nearest(name: str, known) -> str:
     return f"; choose one of {', '.join(sorted(known))}"
 
 
-def _validated(model: type[Options], values: Mapping[str, Any]) -> Any:
+def _validated(model: type[BaseModel], values: Mapping[str, Any]) -> Any:
     try:
         return model(**values)
     except ValidationError as error:

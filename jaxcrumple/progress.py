@@ -49,7 +49,7 @@ class ConsoleProgress:
         text = ", ".join(part for part in (stage, f"h = {h:.1e} s", energy, why) if part)
         self.bar.update(self.task, completed=float(state.t), description=text)
         for event in events.itertuples():
-            self.bar.console.print(f"t = {event.t:.5f} s: {getattr(event, '_2')} -> {event.to}")
+            self.bar.console.print(f"t = {event.t:.5f} s: {event.origin} -> {event.to}")
         now = time.perf_counter()
         if not self.console.is_terminal and now - self.printed > INTERVAL:
             self.printed = now

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.hybrid import Hybrid, hybrid, integrate
@@ -20,7 +21,7 @@ from jaxcrumple.threads import single_threaded_blas
 _integrate = eqx.filter_jit(integrate)
 
 ENERGIES = ("stretch", "bending", "confinement", "gravity", "extra", "kinetic")
-RESULT_NAMES = tuple(name for name in ("success", "budget", "collapsed", "nonfinite"))
+RESULT_NAMES = ("success", "budget", "collapsed", "nonfinite")
 
 
 class SimulationError(RuntimeError):
@@ -87,7 +88,7 @@ class _Record:
 def simulate(
     scene: Scene,
     state: State,
-    times: Sequence[float] | float,
+    times: ArrayLike,
     *,
     solver: Hybrid | None = None,
     observers: Sequence[Observer] = (),
@@ -110,7 +111,7 @@ def simulate(
 
     **Raises:** ValueError for times that are not finite, not positive or not increasing.
     """
-    times = _checked_times(times, first_frame)
+    stops = _checked_times(times, first_frame)
     solver = solver or hybrid()
     record = _Record()
     watchers = (record, *observers)
@@ -119,8 +120,8 @@ def simulate(
         start = time.perf_counter()
         budget = _Budget(state, max_attempts, max_seconds)
         state = eqx.tree_at(lambda s: s.result, state, RESULTS.success)
-        for index in range(first_frame, len(times)):
-            state = _advance(scene, state, times[index], solver, watchers, index, budget)
+        for index in range(first_frame, len(stops)):
+            state = _advance(scene, state, stops[index], solver, watchers, index, budget)
             if _name(state) != "success":
                 break
             for watcher in watchers:
@@ -141,17 +142,17 @@ def frame_times(t_end: float, frames: int) -> np.ndarray:
     return np.linspace(0.0, t_end, frames + 1)
 
 
-def _checked_times(times: Sequence[float] | float, first_frame: int) -> np.ndarray:
-    times = np.atleast_1d(np.asarray(times, float))
-    sound = times.ndim == 1 and np.all(np.isfinite(times)) and np.all(np.diff(times) > 0)
-    if not (sound and times[0] >= 0 and times[-1] > 0):
+def _checked_times(times: ArrayLike, first_frame: int) -> np.ndarray:
+    stops = np.atleast_1d(np.asarray(times, float))
+    sound = stops.ndim == 1 and np.all(np.isfinite(stops)) and np.all(np.diff(stops) > 0)
+    if not (sound and stops.size and stops[0] >= 0 and stops[-1] > 0):
         raise ValueError(
             f"times = {times!r} must be finite, increasing and end after 0: frame times in seconds, "
             "or the end time."
         )
-    if not 0 <= first_frame <= len(times):
-        raise ValueError(f"first_frame = {first_frame} lies outside the {len(times)} frame times.")
-    return times
+    if not 0 <= first_frame <= len(stops):
+        raise ValueError(f"first_frame = {first_frame} lies outside the {len(stops)} frame times.")
+    return stops
 
 
 class _Budget:
@@ -182,7 +183,7 @@ def _advance(scene, state: State, t_stop: float, solver, watchers, frames: int, 
         if budget.exceeded(state):
             return eqx.tree_at(lambda s: s.result, state, RESULTS.budget)
         state, log = _integrate(scene, state, jnp.asarray(t_stop), solver)
-        rows = np.asarray(log.rows[: int(log.count)])
+        rows = np.asarray(log.rows[: int(log.length)])
         history, events = history_table(rows), events_table(rows)
         for watcher in watchers:
             watcher.chunk(state, history, events, frames)
@@ -210,7 +211,7 @@ def events_table(rows: np.ndarray) -> pd.DataFrame:
             before = row
         elif row.kind == AFTER and before is not None:
             events.append(_event(before, row))
-    columns = ["t", "from", "to", "acceleration_mean", "h"]
+    columns = ["t", "origin", "to", "acceleration_mean", "h"]
     columns += [f"{name}_{side}" for side in ("before", "after") for name in ENERGIES]
     return pd.DataFrame(events, columns=columns)
 
@@ -218,7 +219,7 @@ def events_table(rows: np.ndarray) -> pd.DataFrame:
 def _event(before: Row, after: Row) -> dict:
     event = {
         "t": before.t,
-        "from": STAGES[int(before.stage)],
+        "origin": STAGES[int(before.stage)],
         "to": STAGES[int(after.stage)],
         "acceleration_mean": before.acceleration_mean,
         "h": after.h,
@@ -243,7 +244,7 @@ def _solution(state: State, record: _Record, compile_s: float, run_s: float) -> 
     return Solution(
         state=state,
         result=name,
-        message=RESULTS[getattr(RESULTS, name)],
+        message=RESULTS[getattr(RESULTS, name)],  # type: ignore[misc]
         t=np.array(record.t),
         x=np.array(record.x).reshape(-1, *shape),
         v=np.array(record.v).reshape(-1, *shape),

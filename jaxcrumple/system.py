@@ -1,6 +1,6 @@
 """The equations of motion: state, energies, forces, and the residual of an implicit step."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,6 +9,7 @@ import scipy.sparse as sparse
 from jax import Array
 
 from jaxcrumple.model.geometry import curvature
+from jaxcrumple.model.loads import Prescribed
 from jaxcrumple.model.plasticity import implicit_update
 from jaxcrumple.model.scene import Scene
 
@@ -114,7 +115,7 @@ def initial_state(scene: Scene, x: Array, v: Array | None = None, *, window: int
         history=restart_history(x, p),
         monitor=Monitor(jnp.zeros(window), zero, nought),
         counters=Counters(zero, zero, jnp.zeros(len(CAUSES), int), zero, zero, zero),
-        result=RESULTS.success,
+        result=RESULTS.success,  # type: ignore[arg-type]
     )
 
 
@@ -172,9 +173,7 @@ def force(scene: Scene, x: Array, v: Array, p: Array | None, t: Array) -> Array:
     return _force_and_rate(scene, x, v, p, t)[0]
 
 
-def rates(
-    scene: Scene, x: Array, v: Array, p: Array | None, t: Array
-) -> tuple[Array, Array, Array | None]:
+def rates(scene: Scene, x: Array, v: Array, p: Array | None, t: Array) -> tuple[Array, Array, Array | None]:
     """Right-hand side of eq. (1) with plastic flow: (dx/dt, dv/dt, dp/dt)."""
     f, dp = _force_and_rate(scene, x, v, p, t)
     dx, dv = v, f / scene.mass[:, None]
@@ -207,7 +206,7 @@ class ImplicitStep(eqx.Module):
     beta_h: Array
     x_memory: Array
     p_memory: Array | None
-    damping_memory: Array | None
+    damping_memory: Any
 
     def velocity(self, x: Array) -> Array:
         """Velocity (n, 3) that the formula gives for new positions `x`."""
@@ -238,7 +237,7 @@ def residual(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array |
 def _condensed(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array | None, Array | None]:
     hinges = scene.bending.hinges(x)
     p = softening = None
-    if scene.plasticity is not None:
+    if scene.plasticity is not None and step.p_memory is not None:
         c = curvature(hinges.theta)
         p, softening = implicit_update(scene.plasticity, c, step.p_memory, step.beta_h)
     total = _external_force(scene, x, step.t)
@@ -266,9 +265,7 @@ def linearize(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array]
     return value, _assemble(scene, x, step.t, edge_blocks, hinge_blocks, nodes)
 
 
-def elastic_tangent(
-    scene: Scene, x: Array, p: Array | None, t: Array, shift: Array | float = 0.0
-) -> Array:
+def elastic_tangent(scene: Scene, x: Array, p: Array | None, t: Array, shift: Array | float = 0.0) -> Array:
     """Values (nnz,) of the Hessian of the potential energy plus `shift` times the mass, in N/m."""
     nodes = (shift * scene.mass)[:, None, None] * jnp.eye(3)
     hinge_blocks = scene.bending.blocks(x, scene.rest_curvature(p), None)
@@ -280,12 +277,12 @@ def _assemble(scene: Scene, x, t, edge_blocks, hinge_blocks, nodes) -> Array:
         nodes = nodes + wall.blocks(x, t)
     extra = [term.blocks(x, t) for term in scene.extra]
     values = scene.pattern.assemble([edge_blocks, hinge_blocks, *extra], nodes)
-    return values if scene.prescribed is None else _eliminate(scene, values)
+    return values if scene.prescribed is None else _eliminate(scene, scene.prescribed, values)
 
 
-def _eliminate(scene: Scene, values: Array) -> Array:
+def _eliminate(scene: Scene, prescribed: Prescribed, values: Array) -> Array:
     """Replace rows and columns of prescribed components by the identity times a typical stiffness."""
-    pattern, mask = scene.pattern, scene.prescribed.mask.reshape(-1)
+    pattern, mask = scene.pattern, prescribed.mask.reshape(-1)
     fixed = mask[pattern.rows] | mask[pattern.indices]
     unit = jnp.where(pattern.rows == pattern.indices, jnp.mean(scene.membrane.stiffness), 0.0)
     return jnp.where(fixed, unit, values)

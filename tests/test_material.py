@@ -20,7 +20,9 @@ def test_constants_of_the_papers_sheet():
     assert sheet.bending_rigidity == pytest.approx(plate, rel=1e-12)
 
 
-@pytest.mark.parametrize("nodes, a_ref, c0", [(500, 1.9e8, None), (1000, 2.7e8, 0.59), (3000, 4.7e8, 0.34)])
+@pytest.mark.parametrize(
+    ("nodes", "a_ref", "c0"), [(500, 1.9e8, None), (1000, 2.7e8, 0.59), (3000, 4.7e8, 0.34)]
+)
 def test_reference_acceleration_and_yield_point_of_the_papers_meshes(nodes, a_ref, c0):
     mesh = rectangle(0.1, 0.1, nodes, sweeps=10)
     constants = Material().discretize(mesh)

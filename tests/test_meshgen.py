@@ -19,7 +19,7 @@ def normals(mesh):
     return np.cross(b - a, c - a)[:, 2]
 
 
-@pytest.mark.parametrize("nx, ny", [(2, 1), (3, 1), (7, 4), (6, 5)])
+@pytest.mark.parametrize(("nx", "ny"), [(2, 1), (3, 1), (7, 4), (6, 5)])
 def test_lattice_counts_and_lengths(nx, ny):
     a = 0.013
     mesh = hexagonal(nx, ny, a)
@@ -117,7 +117,7 @@ def test_meshes_scale_with_their_size():
 
 
 @pytest.mark.parametrize(
-    "call, match",
+    ("call", "match"),
     [
         (lambda: hexagonal(1, 2, 1.0), "nx = 1 is too small; give at least 2"),
         (lambda: hexagonal(2, 0, 1.0), "ny = 0 is too small; give at least 1"),

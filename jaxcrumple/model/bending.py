@@ -25,10 +25,10 @@ CHUNK = 256
 
 
 def fold_stop(theta: Array) -> Array:
-    """Barrier $u^3/(1-u)$, $u = (|\\theta| - \\theta_s)/(\\pi - \\theta_s)$: 0 below $\\theta_s$ = 170 degrees.
+    """Barrier $u^3/(1-u)$ with $u = (|\\theta| - \\theta_s)/(\\pi - \\theta_s)$, $\\theta_s$ = 170 degrees.
 
-    Twice continuously differentiable at the onset and infinite at 180 degrees, where $c$ loses its
-    force and the sign of $\\theta$ would flip.
+    Zero below the onset, twice continuously differentiable there, and infinite at 180 degrees, where
+    $c$ loses its force and the sign of $\\theta$ would flip.
     """
     reach = jnp.pi - FOLD_STOP
     u = jnp.maximum(jnp.abs(theta) - FOLD_STOP, 0.0) / reach

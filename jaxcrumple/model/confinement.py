@@ -1,11 +1,13 @@
 """Confinement by smooth rigid walls that may move.
 
 A wall is a shape, which measures the signed gap d between a point and itself, and one soft law:
-$U = k_w \\langle\\sigma - d\\rangle^3 / (3\\sigma)$, so $F = k_w \\langle\\sigma - d\\rangle^2/\\sigma$ along the inward normal. The
-force starts smoothly at $d = \\sigma$ and is $k_w \\sigma$ at the wall itself.
+$U = k_w \\langle\\sigma - d\\rangle^3 / (3\\sigma)$. Its force along the inward normal,
+$k_w \\langle\\sigma - d\\rangle^2/\\sigma$, starts smoothly at $d = \\sigma$ and is $k_w \\sigma$ at the
+wall itself.
 """
 
 import abc
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -39,7 +41,7 @@ class Sphere(AbstractShape):
     """The inside of a sphere: `center` (3,) in m, `radius` a callable of time in m."""
 
     center: Array
-    radius: eqx.Module
+    radius: Callable[[Array], Array]
 
     def gap(self, point: Array, t: Array) -> Array:
         """Radius minus distance from the centre."""
@@ -52,7 +54,7 @@ class Cylinder(AbstractShape):
 
     center: Array
     axis: Array
-    radius: eqx.Module
+    radius: Callable[[Array], Array]
 
     def gap(self, point: Array, t: Array) -> Array:
         """Radius minus distance from the axis."""
@@ -65,7 +67,7 @@ class Plane(AbstractShape):
     """The half space $\\hat n \\cdot x > $ `offset`(t), with unit `normal` (3,) pointing inside."""
 
     normal: Array
-    offset: eqx.Module
+    offset: Callable[[Array], Array]
 
     def gap(self, point: Array, t: Array) -> Array:
         """Height above the plane."""
@@ -81,7 +83,7 @@ class Cone(AbstractShape):
     center: Array
     axis: Array
     half_angle: Array
-    height: eqx.Module
+    height: Callable[[Array], Array]
 
     def gap(self, point: Array, t: Array) -> Array:
         """Distance from the cone's surface."""

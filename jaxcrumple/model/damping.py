@@ -1,10 +1,13 @@
 """Dissipation: isotropic drag (24) and dashpots along the edges (25).
 
 In an implicit step rates are differences over the step history. The central dashpot takes the rate
-of its *length* from that history, $\\dot\\ell = (\\ell(x) + \\sum_j \\alpha_j \\ell(x_j))/(\\beta h)$: a rigid rotation
-then produces no force at any step size, and the tangent is symmetric, neither of which holds for
+of its *length* from that history, $\\dot\\ell = (\\ell(x) + \\sum_j \\alpha_j \\ell(x_j))/(\\beta h)$. A
+rigid rotation then produces no force at any step size, and the tangent is symmetric; neither holds for
 $\\hat r \\cdot v$ with $v$ from the same formula (both agree to the order of the method).
 """
+
+import abc
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -26,7 +29,30 @@ class Drag(eqx.Module):
         return -self.coefficient[:, None] * v
 
 
-class CentralDashpot(eqx.Module):
+class AbstractDashpot(eqx.Module):
+    """Internal damping. `memory` is whatever an implicit step must know of the past."""
+
+    nodes: eqx.AbstractVar[Array]
+    coefficient: eqx.AbstractVar[Array]
+
+    @abc.abstractmethod
+    def force(self, x: Array, v: Array) -> Array:
+        """Nodal forces (n, 3) in N at positions `x` and velocities `v` (n, 3)."""
+
+    @abc.abstractmethod
+    def memory(self, past: Array, alpha: Array) -> Any:
+        """Digest of the history: `past` (s, n, 3) positions with coefficients `alpha` (s,)."""
+
+    @abc.abstractmethod
+    def step_force(self, x: Array, v: Array, memory: Any, beta_h: Array) -> Array:
+        """Nodal forces (n, 3) of an implicit step."""
+
+    @abc.abstractmethod
+    def step_blocks(self, x: Array, v: Array, memory: Any, beta_h: Array) -> Array:
+        """Element tangents (3, 3, 3, e) of `step_force`, sign reversed."""
+
+
+class CentralDashpot(AbstractDashpot):
     """Dashpots that resist the rate of change of edge lengths: always dissipative.
 
     **Arguments:** `nodes` (e, 2); `coefficient` (e,) $b_{int}$ in kg/s.
@@ -41,7 +67,10 @@ class CentralDashpot(eqx.Module):
         return edge_force(self.nodes, r, self.coefficient * dot(r, u) / dot(r, r), x.shape[0])
 
     def memory(self, past: Array, alpha: Array) -> Array:
-        """History part (e,) of the length rate: $\\sum_j \\alpha_j \\ell(x_j)$; `past` (s, n, 3), `alpha` (s,)."""
+        """History part (e,) of the length rate, $\\sum_j \\alpha_j \\ell(x_j)$.
+
+        `past` (s, n, 3) are the positions of the history, `alpha` (s,) their coefficients.
+        """
         lengths = jax.vmap(lambda x: _edge_length(x, self.nodes))(past)
         return alpha @ lengths
 
@@ -62,7 +91,7 @@ class CentralDashpot(eqx.Module):
         return edge_blocks(r, self.coefficient / beta_h, self.coefficient * rate / edge)
 
 
-class PaperDashpot(eqx.Module):
+class PaperDashpot(AbstractDashpot):
     """The paper's internal damping $-b_{int}\\, d(r - s\\hat r)/dt$ (eq. 25).
 
     Not a central force: its transverse coefficient $b (1 - s/r)$ is negative in compressed springs.

@@ -29,7 +29,7 @@ def add(a: Vec, b: Vec) -> Vec:
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
-def scale(s: Array, a: Vec) -> Vec:
+def scale(s: Array | float, a: Vec) -> Vec:
     """Scalar times vector."""
     return (s * a[0], s * a[1], s * a[2])
 

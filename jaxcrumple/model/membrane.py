@@ -47,7 +47,8 @@ class Membrane(eqx.Module):
 
     def element_energy(self, x: Array) -> Array:
         """Energy of each edge (e,) in J at positions `x` (n, 3)."""
-        return spring_energy(*gather(x, self.nodes), self.stiffness, self.rest_length)
+        xi, xj = gather(x, self.nodes)
+        return spring_energy(xi, xj, self.stiffness, self.rest_length)
 
     def energy(self, x: Array) -> Array:
         """Stretching energy in J (eq. 11)."""

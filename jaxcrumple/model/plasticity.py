@@ -49,14 +49,12 @@ def smoothstep(u: Array) -> Array:
     return u * u * u * (10.0 + u * (6.0 * u - 15.0))
 
 
-def implicit_update(
-    rule: AbstractFlowRule, c: Array, memory: Array, beta_h: Array
-) -> tuple[Array, Array]:
+def implicit_update(rule: AbstractFlowRule, c: Array, memory: Array, beta_h: Array) -> tuple[Array, Array]:
     """Rest curvature of an implicit step and its slope dp/dc.
 
-    Solves $p - p_* - \\beta h\\, \\dot p(c, p) = 0$ hinge by hinge (eq. 48), $p_* = -\\sum_j \\alpha_j p_j$ given
-    by `memory` $= \\sum_j \\alpha_j p_j$. The left side grows with p and the root lies between $p_*$ and c, so
-    Newton safeguarded by bisection always succeeds.
+    Solves $p - p_* - \\beta h\\, \\dot p(c, p) = 0$ hinge by hinge (eq. 48), with `memory` $= -p_* =
+    \\sum_j \\alpha_j p_j$. The left side grows with p and the root lies between $p_*$ and c, so Newton
+    safeguarded by bisection always succeeds.
 
     **Returns:** `p` (h,) and `dp/dc` (h,) in [0, 1).
     """

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -12,7 +11,7 @@ from jaxcrumple.material import Material
 from jaxcrumple.mesh import Mesh
 from jaxcrumple.model.bending import Bending
 from jaxcrumple.model.confinement import AbstractShape, Wall
-from jaxcrumple.model.damping import CentralDashpot, Drag, PaperDashpot
+from jaxcrumple.model.damping import AbstractDashpot, CentralDashpot, Drag, PaperDashpot
 from jaxcrumple.model.loads import ElementEnergy, Gravity, Prescribed
 from jaxcrumple.model.membrane import Membrane
 from jaxcrumple.model.pattern import Pattern, build_pattern
@@ -41,7 +40,7 @@ class Scene(eqx.Module):
     bending: Bending
     plasticity: AbstractFlowRule | None
     drag: Drag | None
-    damping: CentralDashpot | PaperDashpot | None
+    damping: AbstractDashpot | None
     walls: tuple[Wall, ...]
     gravity: Gravity | None
     prescribed: Prescribed | None
@@ -96,6 +95,7 @@ def sheet(
     mass = jnp.asarray(constants.mass)
     b_int = jnp.asarray(constants.b_int)
     rest_length = jnp.asarray(mesh.edge_length)
+    dashpot: AbstractDashpot | None
     if not np.any(constants.b_int):
         dashpot = None
     elif damping == "central":
@@ -147,7 +147,7 @@ def _velocity_scale(mesh: Mesh, material: Material) -> Array:
 
 
 def _require_x64() -> None:
-    if not jax.config.jax_enable_x64:
+    if jnp.asarray(0.0).dtype != jnp.float64:
         raise ValueError(
             "jaxcrumple needs float64: forces nearly cancel and float32 loses them. "
             'Call jax.config.update("jax_enable_x64", True) before you build a scene.'

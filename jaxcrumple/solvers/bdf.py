@@ -40,6 +40,6 @@ def push(history: History, h: Array, x: Array, p: Array | None) -> History:
     def shift(past: Array, new: Array) -> Array:
         return jnp.concatenate([new[None], past[:-1]])
 
-    past = None if history.p is None else shift(history.p, p)
+    past = None if history.p is None or p is None else shift(history.p, p)
     count = jnp.minimum(history.count + 1, HISTORY)
     return History(shift(history.x, x), past, shift(history.steps, h), count)

@@ -1,6 +1,6 @@
 """`integrate`: the hybrid of the quasistatic and the dynamic stage as one traced function."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -51,7 +51,7 @@ class Hybrid(eqx.Module):
     switch: Switch
     first_step: Array = eqx.field(default=1e-4, converter=jnp.asarray)
     restart_steps: Array = eqx.field(default=10.0, converter=jnp.asarray)
-    max_step: Array = eqx.field(default=jnp.inf, converter=jnp.asarray)
+    max_step: Array | float = eqx.field(default=jnp.inf, converter=jnp.asarray)
 
 
 def hybrid(
@@ -113,7 +113,7 @@ def integrate(scene: Scene, state: State, t_stop: Array, solver: Hybrid) -> tupl
 
 
 def _going(carry: _Carry) -> Array:
-    room = carry.log.count < LOG_CAPACITY - 4
+    room = carry.log.length < LOG_CAPACITY - 4
     sound = carry.state.result == RESULTS.success
     return ~carry.done & room & sound & (carry.spent < BUDGET)
 
@@ -234,7 +234,7 @@ def _switched(state: State, stage: int, h: Array) -> State:
     return eqx.tree_at(lambda s: (s.h, s.history), state, (h, history))
 
 
-def _with_result(state: State, failed: Array, result: RESULTS) -> State:
+def _with_result(state: State, failed: Array, result: Any) -> State:
     return eqx.tree_at(lambda s: s.result, state, RESULTS.where(failed, result, state.result))
 
 

@@ -12,7 +12,7 @@ STEP, BEFORE, AFTER = 0, 1, 2
 class Row(NamedTuple):
     """One line of `history.csv`; energies in J, times in s, counts since the start of the run."""
 
-    kind: Array
+    kind: Array | int
     t: Array
     stage: Array
     h: Array
@@ -24,8 +24,8 @@ class Row(NamedTuple):
     gravity: Array
     extra: Array
     kinetic: Array
-    order: Array
-    error: Array
+    order: Array | int
+    error: Array | float
     newton_iterations: Array
     linear_iterations: Array
     quasistatic_steps: Array
@@ -34,10 +34,10 @@ class Row(NamedTuple):
 
 
 class Log(NamedTuple):
-    """Rows (capacity, columns), the first `count` of them valid."""
+    """Rows (capacity, columns), the first `length` of them valid."""
 
     rows: Array
-    count: Array
+    length: Array
 
     @property
     def capacity(self) -> int:
@@ -53,5 +53,5 @@ def empty_log(capacity: int) -> Log:
 def append(log: Log, row: Row, wanted: Array | bool = True) -> Log:
     """Log with `row` added, or unchanged unless `wanted`."""
     values = jnp.stack([jnp.asarray(value, log.rows.dtype) for value in row])
-    index = jnp.where(wanted, log.count, log.capacity)
-    return Log(log.rows.at[index].set(values, mode="drop"), log.count + jnp.asarray(wanted, int))
+    index = jnp.where(wanted, log.length, log.capacity)
+    return Log(log.rows.at[index].set(values, mode="drop"), log.length + jnp.asarray(wanted, int))

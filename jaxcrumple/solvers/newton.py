@@ -84,6 +84,4 @@ def newton(
     zero, no = jnp.asarray(0), jnp.asarray(False)
     init = _Carry(guess, factor, zero, zero, jnp.asarray(jnp.inf), no, no, no)
     end = jax.lax.while_loop(unfinished, body, init)
-    return NewtonSolution(
-        end.x, end.factor, end.iterations, end.linear, end.converged, end.indefinite
-    )
+    return NewtonSolution(end.x, end.factor, end.iterations, end.linear, end.converged, end.indefinite)

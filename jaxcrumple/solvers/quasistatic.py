@@ -105,7 +105,7 @@ def _error(scene: Scene, state: State, h, order, x, p, factor: Factor, options: 
     unfiltered = aligning if scene.drag is not None else first
     share = options.rtol * jnp.where(aligning, 1.0, LOCAL_SHARE)
     position = jnp.max(jnp.abs(jnp.where(unfiltered, euler, correction))) / scene.length_scale
-    if p is None:
+    if p is None or state.p is None or scene.plasticity is None:
         return position / share
     _, p_lower = residual(scene, step, x + correction)
     c = curvature(scene.bending.hinges(state.x).theta)
@@ -143,5 +143,3 @@ def next_step(tried: Attempt, h: Array) -> Array:
     accepted = jnp.clip(by_error, 0.2, growth)
     rejected = jnp.where(tried.cause == CAUSES.index("error"), jnp.clip(by_error, 0.1, 0.8), 0.4)
     return h * jnp.where(tried.accepted, accepted, rejected)
-
-

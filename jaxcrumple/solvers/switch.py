@@ -1,6 +1,7 @@
 """When to change the representation: the acceleration monitor (Section 3.4)."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -20,11 +21,11 @@ class Switch(eqx.Module):
     - `enabled`: False keeps the run quasistatic; a step that collapses then ends it.
     """
 
-    up: Array = eqx.field(default=1e-5, converter=jnp.asarray)
-    down: Array = eqx.field(default=3e-6, converter=jnp.asarray)
-    dwell: Array = eqx.field(default=1e-3, converter=jnp.asarray)
-    ignore: Array = eqx.field(default=5, converter=jnp.asarray)
-    minimum_steps: Array = eqx.field(default=10, converter=jnp.asarray)
+    up: Array | float = eqx.field(default=1e-5, converter=jnp.asarray)
+    down: Array | float = eqx.field(default=3e-6, converter=jnp.asarray)
+    dwell: Array | float = eqx.field(default=1e-3, converter=jnp.asarray)
+    ignore: Array | float = eqx.field(default=5, converter=jnp.asarray)
+    minimum_steps: Array | float = eqx.field(default=10, converter=jnp.asarray)
     enabled: bool = eqx.field(static=True, default=True)
 
 
@@ -38,7 +39,7 @@ def observe(monitor: Monitor, stage: Array, ratio: Array, h: Array, switch: Swit
 
 def fresh_monitor(monitor: Monitor) -> Monitor:
     """Monitor at the start of a stage."""
-    return Monitor(jnp.zeros_like(monitor.ratios), jnp.zeros_like(monitor.steps), jnp.zeros_like(monitor.since))
+    return jax.tree.map(jnp.zeros_like, monitor)
 
 
 def wants_switch(monitor: Monitor, stage: Array, switch: Switch) -> Array:
