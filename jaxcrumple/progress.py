@@ -49,13 +49,16 @@ class ConsoleProgress:
         text = ", ".join(part for part in (stage, f"h = {h:.1e} s", energy, why) if part)
         self.bar.update(self.task, completed=float(state.t), description=text)
         for event in events.itertuples():
-            self.bar.console.print(f"t = {event.t:.5f} s: {event.origin} -> {event.to}")
+            self._say(f"t = {event.t:.5f} s: {event.origin} -> {event.to}")
         now = time.perf_counter()
         if not self.console.is_terminal and now - self.printed > INTERVAL:
             self.printed = now
             total = self.bar.tasks[self.task].total or 0.0
-            self.console.print(f"t = {float(state.t):.4f} of {total:.4g} s, {self._left(state, total)}{text}")
+            self._say(f"t = {float(state.t):.4f} of {total:.4g} s, {self._left(state, total)}{text}")
         self.last = state
+
+    def _say(self, line: str) -> None:
+        self.bar.console.print(line, soft_wrap=True, highlight=False, markup=False)
 
     def _left(self, state: State, total: float) -> str:
         """Time left at the mean speed since the last state, in words."""

@@ -151,7 +151,7 @@ def attempt(
     controller = _controller(scene, options, cap)
     finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(y1)]))
     # An integral controller keeps no memory, so its state starts afresh with every step.
-    _, memory = controller.init(_TERM, state.t, t1, y0, h, scene, _TERM.vf, ERROR_ORDER)
+    _, memory = controller.init(_TERM, state.t, t1, y0, h, scene, _SOLVER.func, ERROR_ORDER)
     keep, next_t0, next_t1, _, _, _ = controller.adapt_step_size(
         state.t, t1, y0, y1, scene, error, ERROR_ORDER, memory
     )
