@@ -26,7 +26,9 @@ def main() -> None:
         app()
     except ValueError as error:
         # Every refusal of the library names its cause and cure; a traceback would hide it.
-        Console(stderr=True).print(f"error: {error}", style="red", markup=False)
+        Console(stderr=True).print(
+            f"error: {error}", style="red", markup=False, highlight=False, soft_wrap=True
+        )
         sys.exit(2)
 
 
@@ -64,7 +66,7 @@ def run(
     given = {"nodes": nodes, "t_end": t_end, "seed": seed}
     asked: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     if resume and not asked and not settings:
-        config = stored_config(RunDirectory.open(folder))
+        config = stored_config(RunDirectory.open(folder)).model_copy(update={"scene": scene})
     else:
         config = configure(scene, settings=settings or (), **asked)
     if resume:

@@ -48,7 +48,7 @@ class MaterialOptions(Options):
 class SolverOptions(Options):
     """The integrator; see `hybrid` and `Switch`."""
 
-    rtol: float = Field(1e-4, gt=0, lt=0.1)
+    rtol: float = Field(1e-4, gt=0, lt=0.1, allow_inf_nan=False)
     stages: Literal["hybrid", "quasistatic"] = "hybrid"
     linear: Literal["auto", "direct", "block-cg"] = "auto"
     max_order: Literal[3, 4] = 4
@@ -84,7 +84,7 @@ class RunConfig(Options):
     scene: str
     nodes: int = Field(1000, ge=16, le=1_000_000)
     seed: int = Field(0, ge=0)
-    t_end: float = Field(gt=0, lt=1e6)
+    t_end: float = Field(gt=0, lt=1e6, allow_inf_nan=False)
     frames: int = Field(26, ge=1, le=100_000)
     options: dict[str, Any] = Field(default_factory=dict)
     material: MaterialOptions = MaterialOptions()
@@ -112,7 +112,7 @@ def configure(
     **Raises:** `ConfigError` for an unknown scene, key or value.
     """
     if scene not in SCENES:
-        raise ConfigError(f"scene {scene!r} is unknown{_nearest(scene, SCENES)}.")
+        raise ConfigError(f"scene {scene!r} is unknown{_nearest(scene, SCENES)}")
     entry = SCENES[scene]
     groups: dict[str, type[BaseModel]] = {
         "options": entry.options,
@@ -162,14 +162,14 @@ def _group(key: str, groups: Mapping[str, type[BaseModel]]) -> str:
         if key in model.model_fields:
             return name
     known = ["frames", *(field for model in groups.values() for field in model.model_fields)]
-    raise ConfigError(f"setting {key!r} is unknown{_nearest(key, known)}.")
+    raise ConfigError(f"setting {key!r} is unknown{_nearest(key, known)}")
 
 
 def _nearest(name: str, known) -> str:
     close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.4)
     if close:
         return f"; did you mean {close[0]!r}?"
-    return f"; choose one of {', '.join(sorted(known))}"
+    return f"; choose one of {', '.join(sorted(known))}."
 
 
 def _validated(model: type[BaseModel], values: Mapping[str, Any]) -> Any:

@@ -73,11 +73,12 @@ def start_run(config: RunConfig, out: str | Path, observers: Sequence[Observer] 
     """Run a configuration into a new folder `out`; returns its summary.
 
     **Raises:** `RunDirectoryError` when `out` is taken or cannot be written, ValueError for
-    impossible options, both before anything is computed.
+    impossible options; both before the run begins, and nothing is left on the disk.
     """
     solver = config.solver.build()
-    folder = RunDirectory.create(out, config.model_dump(mode="json"))
+    RunDirectory.check_free(out)
     setup = config.build()
+    folder = RunDirectory.create(out, config.model_dump(mode="json"))
     folder.save_mesh(setup.mesh)
     state = initial_state(setup.scene, setup.x)
     return _go(config, folder, setup, solver, state, 0, {}, observers)

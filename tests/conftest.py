@@ -1,5 +1,25 @@
-"""Settings shared by all tests."""
+"""Settings shared by all tests: double precision, and compiled programs kept from one session to the next."""
+
+import os
+from pathlib import Path
 
 import jax
 
 jax.config.update("jax_enable_x64", True)
+
+
+def _keep_compiled_programs() -> None:
+    """Two processes that write one entry at once would leave it damaged, so each worker has a folder of its own.
+
+    The environment hands the settings on to the programs that tests start.
+    """
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    base = os.environ.get("JAX_COMPILATION_CACHE_DIR") or home / "jaxcrumple" / "tests"
+    folder = str(Path(base) / os.environ.get("PYTEST_XDIST_WORKER", ""))
+    shortest = os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = folder
+    jax.config.update("jax_compilation_cache_dir", folder)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", float(shortest))
+
+
+_keep_compiled_programs()

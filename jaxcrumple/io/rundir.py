@@ -63,18 +63,30 @@ class RunDirectory:
         written.
         """
         path = Path(path)
+        cls.check_free(path)
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise refusal(path, error) from error
+        write_json(path / "run.json", {"format": FORMAT, "version": VERSION, "config": dict(config)})
+        return cls(path, _read_config(path))
+
+    @staticmethod
+    def check_free(path: str | Path) -> None:
+        """Make sure that no file and no earlier run is in the way. Nothing is changed.
+
+        **Raises:** `RunDirectoryError` if the path is a file or a folder that is not empty.
+        """
+        path = Path(path)
         try:
             if path.exists() and not path.is_dir():
                 raise RunDirectoryError(f"{str(path)!r} is a file; choose a new folder for the output")
-            path.mkdir(parents=True, exist_ok=True)
-            occupied = any(path.iterdir())
+            occupied = path.is_dir() and any(path.iterdir())
         except OSError as error:
             raise refusal(path, error) from error
         if occupied:
             what = "holds a run already; resume it, or" if (path / "run.json").is_file() else "is not empty;"
             raise RunDirectoryError(f"folder {str(path)!r} {what} choose a new folder for the output")
-        write_json(path / "run.json", {"format": FORMAT, "version": VERSION, "config": dict(config)})
-        return cls(path, _read_config(path))
 
     @classmethod
     def open(cls, path: str | Path) -> RunDirectory:

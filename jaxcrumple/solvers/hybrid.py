@@ -10,8 +10,9 @@ from jax import Array
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers import explicit, quasistatic
 from jaxcrumple.solvers.bdf import push
+from jaxcrumple.solvers.choice import choose_linear_solver
 from jaxcrumple.solvers.explicit import Explicit
-from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor, choose_linear_solver
+from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
 from jaxcrumple.solvers.log import AFTER, BEFORE, STEP, Log, Row, append, empty_log
 from jaxcrumple.solvers.quasistatic import Quasistatic
 from jaxcrumple.solvers.switch import Switch, fresh_monitor, observe, wants_switch

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxcrumple.model.scene import Scene
-from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor, choose_linear_solver
+from jaxcrumple.solvers.choice import choose_linear_solver
+from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
 from jaxcrumple.system import State, elastic_tangent, force, potential_energy, restart_history
 
 # The shift is a pseudo inertia: m * shift is added to the stiffness. It starts at SHIFT_START times
