@@ -83,4 +83,6 @@ class BlockCG(AbstractLinearSolver):
         z = precondition(rhs)
         init = (jnp.zeros_like(rhs), rhs, z, z, rhs @ z, jnp.asarray(True), jnp.asarray(0))
         x, _, _, _, _, positive, iterations = jax.lax.while_loop(unfinished, body, init)
+        # The loop never starts on a right-hand side that is not finite: say so instead of zero.
+        x = jnp.where(jnp.isfinite(goal), x, jnp.nan)
         return Solution(x, iterations, ~positive | (factor.negative > 0))
