@@ -52,7 +52,7 @@ class SolverOptions(Options):
     stages: Literal["hybrid", "quasistatic"] = "hybrid"
     linear: Literal["auto", "direct", "block-cg"] = "auto"
     max_order: Literal[3, 4] = 4
-    max_step: float = Field(float("inf"), gt=0)
+    max_step: float | None = Field(None, gt=0, allow_inf_nan=False)
     switch_up: float = Field(1e-5, gt=0)
     switch_down: float = Field(3e-6, gt=0)
     dwell: float = Field(1e-3, ge=0)
@@ -74,7 +74,7 @@ class SolverOptions(Options):
             linear=self.linear,
             switch=switch,
             max_order=self.max_order,
-            max_step=jnp.asarray(self.max_step),
+            max_step=jnp.asarray(jnp.inf if self.max_step is None else self.max_step),
         )
 
 

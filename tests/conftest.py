@@ -9,9 +9,9 @@ jax.config.update("jax_enable_x64", True)
 
 
 def _keep_compiled_programs() -> None:
-    """Two processes that write one entry at once would leave it damaged, so each worker has a folder of its own.
+    """Keep them where the environment says, or in the user's cache, and tell the programs that tests start.
 
-    The environment hands the settings on to the programs that tests start.
+    Two processes that write one entry at once would damage it, so each worker has a folder of its own.
     """
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     base = os.environ.get("JAX_COMPILATION_CACHE_DIR") or home / "jaxcrumple" / "tests"

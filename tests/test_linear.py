@@ -17,10 +17,10 @@ from jaxcrumple.model.confinement import Ramp, Sphere
 from jaxcrumple.model.pattern import build_pattern
 from jaxcrumple.model.scene import sheet
 from jaxcrumple.model.stencil import upper_pairs
-from jaxcrumple.solvers import linear
+from jaxcrumple.solvers import choice
 from jaxcrumple.solvers.block_cg import BlockCG
+from jaxcrumple.solvers.choice import choose_linear_solver, direct_available
 from jaxcrumple.solvers.direct import Direct
-from jaxcrumple.solvers.linear import choose_linear_solver, direct_available
 from jaxcrumple.solvers.relax import relax
 from jaxcrumple.system import elastic_tangent, initial_state, tangent
 
@@ -42,24 +42,19 @@ def matrix(pattern, values):
     return sparse.csc_array(upper + sparse.triu(upper, k=1).T)
 
 
-def stiffness_over_mass(scene):
-    return float(jnp.max(scene.membrane.stiffness) / jnp.min(scene.mass))
-
-
 @functools.cache
 def crumpled():
-    """Pattern, positive definite values and a right-hand side of a crumpled sheet in a sphere."""
+    """Pattern, positive definite values and a right-hand side of a rough, stretched sheet in a sphere."""
     mesh = rectangle(0.05, 0.04, 150, seed=1, sweeps=10)
     rng = np.random.default_rng(2)
-    x = mesh.vertices * 0.97 + 6e-4 * rng.normal(size=mesh.vertices.shape)
-    wall = Sphere(jnp.zeros(3), Ramp(jnp.asarray(0.028), jnp.asarray(0.0)))
+    x = 1.02 * mesh.vertices + 1e-4 * rng.normal(size=mesh.vertices.shape)
+    x[:, 2] += 2e-3 * np.sin(400 * x[:, 0] + 200 * x[:, 1])
+    wall = Sphere(jnp.zeros(3), Ramp(jnp.asarray(0.031), jnp.asarray(0.0)))
     scene = sheet(mesh, Material(), walls=[wall])
     p = jnp.asarray(0.1 * rng.normal(size=len(mesh.hinges)))
-    assemble = eqx.filter_jit(elastic_tangent)
-    for share in (1e-3, 1e-2, 1e-1, 1.0):
-        values = assemble(scene, jnp.asarray(x), p, jnp.asarray(0.0), share * stiffness_over_mass(scene))
-        if np.linalg.eigvalsh(matrix(scene.pattern, values).toarray())[0] > 0:
-            break
+    values = eqx.filter_jit(elastic_tangent)(scene, jnp.asarray(x), p, jnp.asarray(0.0))
+    eigenvalues = np.linalg.eigvalsh(matrix(scene.pattern, values).toarray())
+    assert 0 < eigenvalues[0] < 1e-3 * eigenvalues[-1]
     return scene.pattern, values, jnp.asarray(rng.normal(size=3 * mesh.n_nodes))
 
 
@@ -69,7 +64,7 @@ def compressed():
     mesh = rectangle(0.05, 0.04, 60, seed=1, sweeps=10)
     scene = sheet(mesh, elastic())
     # The shift moves the rigid translations away from zero, where their sign would be rounding.
-    shift = 1e-4 * stiffness_over_mass(scene)
+    shift = 1e-4 * float(jnp.max(scene.membrane.stiffness) / jnp.min(scene.mass))
     x = jnp.asarray(mesh.vertices * [0.97, 0.97, 1.0])
     values = eqx.filter_jit(elastic_tangent)(scene, x, None, jnp.asarray(0.0), shift)
     eigenvalues = np.linalg.eigvalsh(matrix(scene.pattern, values).toarray())
@@ -114,7 +109,6 @@ def test_assembly_adds_up_every_block():
     values = jax.jit(lambda e, n: pattern.assemble(e, n))(elements, nodes)
     np.testing.assert_allclose(matrix(pattern, values).toarray(), dense, atol=1e-13)
     assert pattern.nnz < 0.5 * dense.size
-    np.testing.assert_array_equal(np.asarray(values)[np.asarray(pattern.diagonal)], values[pattern.diagonal])
     np.testing.assert_allclose(values[pattern.diagonal], np.diag(dense), atol=1e-13)
 
 
@@ -218,10 +212,10 @@ def test_choice_of_solver(monkeypatch):
     with pytest.raises(ValueError, match="'lu' is unknown; choose auto, direct or block-cg"):
         choose_linear_solver("lu")
     assert isinstance(choose_linear_solver("block-cg"), BlockCG)
-    monkeypatch.setattr(linear, "direct_available", lambda: True)
+    monkeypatch.setattr(choice, "direct_available", lambda: True)
     assert isinstance(choose_linear_solver("auto"), Direct)
     assert isinstance(choose_linear_solver("direct"), Direct)
-    monkeypatch.setattr(linear, "direct_available", lambda: False)
+    monkeypatch.setattr(choice, "direct_available", lambda: False)
     assert isinstance(choose_linear_solver("auto"), BlockCG)
     with pytest.raises(ValueError, match=r"needs the extra: pip install 'jaxcrumple\[direct\]'"):
         choose_linear_solver("direct")
@@ -256,7 +250,6 @@ def test_a_stretched_strip_is_stable(solver):
     assert int(outcome.negative) <= 0
 
 
-@pytest.mark.xfail(strict=True, reason="relax counts on the shifted stiffness, which is never indefinite")
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_flat_compressed_strip_is_reported_unstable(solver):
     outcome, eigenvalues = relaxed(0.97, solver)

@@ -23,6 +23,7 @@ from jaxcrumple.system import (
     Counters,
     State,
     energies,
+    rates,
     restart_history,
 )
 
@@ -99,6 +100,7 @@ def integrate(scene: Scene, state: State, t_stop: Array, solver: Hybrid) -> tupl
 
     **Returns:** the new `State` and the `Log` of this call.
     """
+    state = _with_result(state, ~_is_sound(scene, state), RESULTS.nonfinite)
     start_h = jnp.where(state.h > 0, state.h, jnp.minimum(solver.first_step, solver.max_step))
     state = eqx.tree_at(lambda s: s.h, state, start_h)
     zero = jnp.asarray(0)
@@ -111,6 +113,16 @@ def integrate(scene: Scene, state: State, t_stop: Array, solver: Hybrid) -> tupl
 
     end = jax.lax.while_loop(_going, both, carry)
     return end.state, end.log
+
+
+def _is_sound(scene: Scene, state: State) -> Array:
+    """Whether rates, scales and stability limit are finite: where they are not, no step can end well."""
+    numbers = (
+        rates(scene, state.x, state.v, state.p, state.t),
+        explicit.stability_limit(scene, state.x),
+        (scene.reference_acceleration, scene.velocity_scale, scene.length_scale),
+    )
+    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(numbers)]))
 
 
 def _going(carry: _Carry) -> Array:

@@ -16,6 +16,8 @@ from jaxcrumple.system import State, elastic_tangent, force, potential_energy, r
 # the largest spring frequency squared, shrinks after a success and grows after a failure.
 SHIFT_START, SHIFT_FLOOR = 1e-4, 1e-16
 SHRINK, GROW = 0.2, 6.0
+# Shift at which the eigenvalues of the stiffness are counted, in the same units.
+PROBE_SHIFT = 1e-12
 
 
 class Relaxed(NamedTuple):
@@ -113,4 +115,8 @@ def _relax(scene: Scene, state: State, tolerance: Array, linear, max_iterations:
         (end.x, jnp.zeros_like(end.x), restart_history(end.x, state.p)),
     )
     left = size(end.force)
-    return Relaxed(rested, left <= tolerance, end.iterations, left, end.factor.negative)
+    # The iteration's own matrices are shifted until they are definite: judge the bare one. A trace
+    # of the shift stays, above rounding, so that rigid motions of a free sheet do not count.
+    bare = elastic_tangent(scene, end.x, state.p, state.t, PROBE_SHIFT * top)
+    negative = linear.factor(scene.pattern, bare, end.factor).negative
+    return Relaxed(rested, left <= tolerance, end.iterations, left, negative)

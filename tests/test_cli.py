@@ -1,0 +1,315 @@
+"""The command line: what a run leaves behind, and one clear line for everything that cannot be."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import jaxcrumple
+from jaxcrumple import cli
+from jaxcrumple.config import configure
+from jaxcrumple.io import CheckpointError, RunDirectory, RunDirectoryError
+from jaxcrumple.run import resume_run, start_run
+
+SMALL = ["--nodes", "60", "--t-end", "0.02", "--set", "frames=2", "--set", "sweeps=5"]
+CONFIG = configure("radial", nodes=60, t_end=0.02, settings=["frames=2", "sweeps=5"])
+
+
+def command(*arguments):
+    """The program in a process of its own, as a user starts it."""
+    program = [sys.executable, "-c", "from jaxcrumple.cli import main; main()"]
+    return subprocess.run([*program, *map(str, arguments)], capture_output=True, text=True, timeout=300)
+
+
+@pytest.fixture
+def refused(monkeypatch, capsys):
+    """A call that must end with exit code 2 and one line on stderr, which it returns."""
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["jaxcrumple", *map(str, arguments)])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as caught:
+            cli.main()
+        streams = capsys.readouterr()
+        assert caught.value.code == 2
+        assert streams.err.startswith("error: ")
+        assert len(streams.err.splitlines()) == 1, streams.err
+        return streams.err
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """Folder and output of a run from the command line."""
+    folder = tmp_path_factory.mktemp("cli") / "deep" / "run"
+    return folder, command("run", "radial", *SMALL, "--out", folder)
+
+
+@pytest.fixture
+def copy(finished, tmp_path):
+    """A copy of that run, to be harmed."""
+    return shutil.copytree(finished[0], tmp_path / "copy")
+
+
+def contents(path):
+    return {str(p.relative_to(path)): p.read_bytes() for p in path.rglob("*") if p.is_file()}
+
+
+# --- What a run leaves behind --------------------------------------------------------------------
+
+
+def test_run_succeeds_and_reports(finished):
+    folder, result = finished
+    assert result.returncode == 0, result.stderr
+    assert result.stderr == ""
+    for text in ("result: success", "2 switches", "mJ bending", "largest", f"all results: {folder}"):
+        assert text in result.stdout
+    assert "Traceback" not in result.stdout
+
+
+def test_every_file_is_there(finished):
+    folder, result = finished
+    names = {path.name for path in folder.iterdir()}
+    expected = {
+        "run.json",
+        "mesh.npz",
+        "frames",
+        "history.csv",
+        "events.csv",
+        "checkpoint.npz",
+        "summary.json",
+    }
+    assert expected | {"run.vtkhdf"} <= names
+    pictures = sorted(folder.glob("*.png"))
+    assert len(pictures) >= 2
+    assert all(picture.read_bytes().startswith(b"\x89PNG") for picture in pictures)
+    assert all(f"picture: {picture}" in result.stdout for picture in pictures)
+    assert not list(folder.rglob("*.tmp"))
+
+
+def test_summary_tells_the_run(finished):
+    folder, _ = finished
+    summary = json.loads((folder / "summary.json").read_text())
+    asked = {"scene": "radial", "nodes": 60, "seed": 0, "t_end": 0.02, "t_reached": 0.02, "result": "success"}
+    assert {key: summary[key] for key in asked} == asked
+    steps, energy = summary["steps"], summary["energy"]
+    assert set(steps) == {"quasistatic", "dynamic", "rejected"}
+    assert steps["quasistatic"] > 20
+    assert steps["dynamic"] > 100
+    assert summary["newton_iterations"] >= steps["quasistatic"]
+    assert summary["linear_iterations"] >= summary["newton_iterations"]
+    assert summary["switches"] == 2
+    assert {"stretch", "bending", "confinement", "kinetic"} <= set(energy)
+    assert all(energy[name] > 0 for name in ("stretch", "bending", "confinement"))
+    assert 0 < energy["kinetic"] < 0.1 * energy["bending"]
+    assert 0 < summary["rms_edge_strain"] < summary["max_edge_strain"] < 0.01
+    # The wall is soft: less than its range of one thickness.
+    assert 0 <= summary["max_wall_penetration"] < 2.5e-4
+    assert (summary["inverted_hinges"], summary["crease_length"]) == (0, 0.0)
+    for name in ("compile_s", "run_s", "cpu_s"):
+        assert 0 < summary[name] < 300, name
+    assert 100 < summary["peak_memory_mb"] < 10_000
+    assert summary["versions"]["jax"] == jaxcrumple.run.importlib.metadata.version("jax")
+
+
+def test_run_is_read_back(finished):
+    folder, _ = finished
+    run = jaxcrumple.load(folder)
+    np.testing.assert_allclose(run.t, [0.0, 0.01, 0.02], rtol=1e-14)
+    assert run.x.shape == run.v.shape == (3, 60, 3)
+    assert run.p.shape == (3, len(run.mesh.hinges))
+    assert run.mesh.faces.shape[1] == 3
+    assert run.mesh.n_nodes == 60
+    np.testing.assert_array_equal(run.x[0], run.mesh.vertices)
+    assert run.summary == json.loads((folder / "summary.json").read_text())
+    assert run.config["t_end"] == 0.02
+    assert run.history["t"].iloc[-1] == 0.02
+    assert run.events["to"].tolist() == ["dynamic", "quasistatic"]
+    assert len(run.events) == run.summary["switches"]
+
+
+def test_scenes_lists_options_with_defaults(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["jaxcrumple", "scenes"])
+    with pytest.raises(SystemExit) as caught:
+        cli.main()
+    assert caught.value.code == 0
+    text = " ".join(capsys.readouterr().out.split())
+    for item in ("radial", "ends at t = 2.6 s", "radius=0.071", "thickness=0.00025", "rtol=0.0001"):
+        assert item in text
+
+
+def test_plot_draws_again(copy, monkeypatch, capsys):
+    for made in (*copy.glob("*.png"), copy / "run.vtkhdf"):
+        made.unlink()
+    monkeypatch.setattr(sys, "argv", ["jaxcrumple", "plot", str(copy)])
+    with pytest.raises(SystemExit) as caught:
+        cli.main()
+    assert caught.value.code == 0
+    assert len(list(copy.glob("*.png"))) >= 2
+    assert (copy / "run.vtkhdf").is_file()
+    assert str(copy / "run.vtkhdf") in capsys.readouterr().out
+
+
+# --- What is refused -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["radal"], "scene 'radal' is unknown; did you mean 'radial'?"),
+        (["radial", "--set", "thicknes=1"], "did you mean 'thickness'?"),
+        (["radial", "--set", "thickness"], "must read key=value"),
+        (["radial", "--set", "thickness=-1"], "thickness = -1.0 [m] is not usable"),
+        (["radial", "--t-end", "nan"], "t_end = nan: Input should be a finite number"),
+        (["radial", "--nodes", "3"], "nodes = 3: Input should be greater than or equal to 16"),
+        (["radial", "--nodes", "60", "--set", "radius=0.01"], "choose at least 0.07071 m"),
+        (["radial", "--resume"], "does not exist; give the output folder of a run"),
+        (["radial", "--resume", "--nodes", "60"], "does not exist; give the output folder of a run"),
+    ],
+    ids=lambda v: " ".join(v) if isinstance(v, list) else "",
+)
+def test_impossible_runs_leave_nothing_behind(refused, tmp_path, arguments, message):
+    assert message in refused("run", *arguments, "--out", tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_taken_folders_are_refused(refused, finished, tmp_path):
+    folder, _ = finished
+    before = contents(folder)
+    assert "holds a run already; resume it, or choose a new folder" in refused(
+        "run", "radial", *SMALL, "--out", folder
+    )
+    assert contents(folder) == before
+    (tmp_path / "file").write_text("precious")
+    assert "is not empty; choose a new folder" in refused("run", "radial", *SMALL, "--out", tmp_path)
+    assert "is a file; choose a new folder" in refused("run", "radial", *SMALL, "--out", tmp_path / "file")
+    message = refused("run", "radial", *SMALL, "--out", tmp_path / "file" / "run")
+    assert "Not a directory; check the path" in message
+    assert contents(tmp_path) == {"file": b"precious"}
+
+
+def test_folders_that_cannot_be_written_are_refused(refused, tmp_path):
+    # The kernel's own tree refuses new folders even to an administrator.
+    place = "/proc/run" if os.geteuid() == 0 else tmp_path / "locked" / "run"
+    (tmp_path / "locked").mkdir(mode=0o500)
+    message = refused("run", "radial", *SMALL, "--out", place)
+    assert f"cannot write '{place}'" in message
+
+
+def test_no_results_of_a_run_that_is_none(refused, tmp_path):
+    assert "has no run.json; give a run's folder" in refused("plot", tmp_path)
+    assert "does not exist" in refused("plot", tmp_path / "none")
+    (tmp_path / "run.json").write_text('{"format": "other"}')
+    assert "is not of this program" in refused("run", "radial", "--resume", "--out", tmp_path)
+
+
+def test_resuming_with_other_options_is_refused(refused, finished):
+    folder, _ = finished
+    before = contents(folder)
+    message = refused("run", "radial", *SMALL, "--t-end", "0.03", "--resume", "--out", folder)
+    assert "was started with other values of t_end; resume it with those" in message
+    message = refused("run", "radial", *SMALL, "--set", "thickness=1e-4", "--resume", "--out", folder)
+    assert "other values of material" in message
+    assert "other values of scene" in refused("run", "square", "--resume", "--out", folder)
+    assert contents(folder) == before
+
+
+def test_checkpoints_that_are_no_good_are_refused(refused, copy):
+    checkpoint = copy / "checkpoint.npz"
+    whole = checkpoint.read_bytes()
+    middle = len(whole) // 2
+    damaged = {
+        "is truncated or damaged": whole[:middle],
+        "damaged": whole[:middle] + bytes([whole[middle] ^ 255]) + whole[middle + 1 :],
+        "is empty, so it is no checkpoint": b"",
+        "is not an npz file, so it is no checkpoint": b"something else",
+        "no checkpoint of jaxcrumple": (copy / "mesh.npz").read_bytes(),
+    }
+    for message, data in damaged.items():
+        checkpoint.write_bytes(data)
+        before = contents(copy)
+        text = refused("run", "radial", "--resume", "--out", copy)
+        assert message in text
+        assert contents(copy) == before
+
+
+def test_checkpoint_of_another_run_is_refused(copy):
+    settings = json.loads((copy / "run.json").read_text())
+    settings["config"]["material"]["thickness"] = 3e-4
+    (copy / "run.json").write_text(json.dumps(settings))
+    with pytest.raises(CheckpointError, match=r"was made with material = .* resume with the same settings"):
+        resume_run(copy)
+
+
+# --- Going on ------------------------------------------------------------------------------------
+
+
+def test_resuming_a_finished_run_changes_nothing(copy):
+    before = contents(copy)
+    old = json.loads(before["summary.json"])
+    summary = resume_run(copy)
+    after = contents(copy)
+    same = [name for name in before if name.startswith(("frames", "history", "events", "mesh", "checkpoint"))]
+    assert len(same) >= 7
+    assert all(before[name] == after[name] for name in same)
+    for name in ("result", "t_reached", "steps", "energy", "switches"):
+        assert summary[name] == old[name]
+    # Time spent adds up over the sessions.
+    assert summary["run_s"] >= old["run_s"] - 0.5
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """An empty disk of 2 MB."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(disk)]
+    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True).returncode != 0:
+        pytest.skip("only an administrator can mount a small disk")
+    yield disk
+    subprocess.run(["umount", str(disk)], check=True)
+
+
+# Too little for the first checkpoint, for its replacement beside it, and for the rows that follow.
+@pytest.mark.parametrize("free", [40_000, 80_000, 100_000])
+def test_a_full_disk_ends_the_run_and_spoils_nothing(small_disk, finished, free):
+    (small_disk / "other").write_bytes(bytes(2 * 2**20 - free))
+    folder = small_disk / "run"
+    with pytest.raises(RunDirectoryError, match=r"No space left on device; free some space .* is intact"):
+        start_run(CONFIG, folder)
+    opened = RunDirectory.open(folder)
+    saved = [opened.load_frame(index) for index in opened.frames()]
+    assert len(saved) >= 1
+    assert opened.read_summary() == {}
+    assert not list(folder.rglob("*.tmp"))
+    whole = jaxcrumple.load(finished[0])
+    for index, frame in enumerate(saved):
+        np.testing.assert_array_equal(frame.x, whole.x[index])
+    (small_disk / "other").unlink()
+    assert resume_run(folder)["result"] == "success"
+    again = jaxcrumple.load(folder)
+    np.testing.assert_array_equal(again.x, whole.x)
+    np.testing.assert_array_equal(again.history["h"], whole.history["h"])
+
+
+def test_float32_is_refused_with_the_cure():
+    program = """
+import jax, jaxcrumple
+assert not jax.config.jax_enable_x64
+mesh = jaxcrumple.rectangle(0.1, 0.1, 60, sweeps=2)
+try:
+    jaxcrumple.sheet(mesh, jaxcrumple.Material())
+except ValueError as error:
+    print(error)
+"""
+    clean = {k: v for k, v in os.environ.items() if k != "JAX_ENABLE_X64"}
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=clean)
+    assert result.returncode == 0, result.stderr
+    assert result.stderr == ""
+    assert result.stdout.startswith("jaxcrumple needs float64")
+    assert 'jax.config.update("jax_enable_x64", True)' in result.stdout
