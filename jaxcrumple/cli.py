@@ -24,7 +24,7 @@ def main() -> None:
     _enable_compilation_cache()
     try:
         app()
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:
         # Every refusal of the library names its cause and cure; a traceback would hide it.
         Console(stderr=True).print(
             f"error: {error}", style="red", markup=False, highlight=False, soft_wrap=True

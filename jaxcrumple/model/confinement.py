@@ -14,6 +14,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxcrumple.model.fields import as_float
+
 # Guards the distance to a centre or an axis, m^2: far below any length that matters here.
 TINY = 1e-30
 
@@ -21,8 +23,8 @@ TINY = 1e-30
 class Ramp(eqx.Module):
     """A number that changes linearly: `start` + `rate` * t. Any callable module of t may replace it."""
 
-    start: Array
-    rate: Array
+    start: Array = eqx.field(converter=as_float)
+    rate: Array = eqx.field(converter=as_float)
 
     def __call__(self, t: Array) -> Array:
         """Value at time `t`."""
@@ -40,7 +42,7 @@ class AbstractShape(eqx.Module):
 class Sphere(AbstractShape):
     """The inside of a sphere: `center` (3,) in m, `radius` a callable of time in m."""
 
-    center: Array
+    center: Array = eqx.field(converter=as_float)
     radius: Callable[[Array], Array]
 
     def gap(self, point: Array, t: Array) -> Array:
@@ -52,8 +54,8 @@ class Sphere(AbstractShape):
 class Cylinder(AbstractShape):
     """The inside of an infinite cylinder through `center` (3,) along the unit vector `axis` (3,)."""
 
-    center: Array
-    axis: Array
+    center: Array = eqx.field(converter=as_float)
+    axis: Array = eqx.field(converter=as_float)
     radius: Callable[[Array], Array]
 
     def gap(self, point: Array, t: Array) -> Array:
@@ -66,7 +68,7 @@ class Cylinder(AbstractShape):
 class Plane(AbstractShape):
     """The half space $\\hat n \\cdot x > $ `offset`(t), with unit `normal` (3,) pointing inside."""
 
-    normal: Array
+    normal: Array = eqx.field(converter=as_float)
     offset: Callable[[Array], Array]
 
     def gap(self, point: Array, t: Array) -> Array:
@@ -80,9 +82,9 @@ class Cone(AbstractShape):
     `height` is a callable of time: the position of the tip on the line `center` + s * `axis`, in m.
     """
 
-    center: Array
-    axis: Array
-    half_angle: Array
+    center: Array = eqx.field(converter=as_float)
+    axis: Array = eqx.field(converter=as_float)
+    half_angle: Array = eqx.field(converter=as_float)
     height: Callable[[Array], Array]
 
     def gap(self, point: Array, t: Array) -> Array:
@@ -105,8 +107,8 @@ class Wall(eqx.Module):
     """
 
     shape: AbstractShape
-    stiffness: Array
-    range: Array
+    stiffness: Array = eqx.field(converter=as_float)
+    range: Array = eqx.field(converter=as_float)
 
     def node_energy(self, x: Array, t: Array) -> Array:
         """Energy of each node (n,) in J."""

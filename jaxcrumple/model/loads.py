@@ -9,14 +9,15 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.stencil import upper_pairs
 
 
 class Gravity(eqx.Module):
     """Uniform acceleration `g` (3,) in m/s2 acting on the nodal masses `mass` (n,) in kg."""
 
-    g: Array
-    mass: Array
+    g: Array = eqx.field(converter=as_float)
+    mass: Array = eqx.field(converter=as_float)
 
     def energy(self, x: Array) -> Array:
         """Potential energy in J, zero at the origin."""
@@ -38,8 +39,8 @@ class AbstractMotion(eqx.Module):
 class LinearMotion(AbstractMotion):
     """Uniform motion: `position` (n, 3) in m at t = 0 and `velocity` (n, 3) or (3,) in m/s."""
 
-    position: Array
-    velocity: Array
+    position: Array = eqx.field(converter=as_float)
+    velocity: Array = eqx.field(converter=as_float)
 
     def __call__(self, t: Array) -> Array:
         """Positions at time `t`."""

@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxcrumple.model.fields import as_float
+
 # Every iteration halves the bracket or the step, so this many always suffice in float64.
 MAX_ITERATIONS = 120
 
@@ -32,9 +34,9 @@ class SmoothstepFlow(AbstractFlowRule):
     **Arguments:** `yield_curvature` (h,) dimensionless $c_0 < 2$; `time` T in s; `gamma` >= 0.
     """
 
-    yield_curvature: Array
-    time: Array
-    gamma: Array
+    yield_curvature: Array = eqx.field(converter=as_float)
+    time: Array = eqx.field(converter=as_float)
+    gamma: Array = eqx.field(converter=as_float)
 
     def rate(self, c: Array, p: Array) -> Array:
         """dp/dt in 1/s (eqs. 34-36)."""

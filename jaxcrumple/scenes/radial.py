@@ -10,6 +10,7 @@ from jaxcrumple.material import Material
 from jaxcrumple.mesh import Mesh
 from jaxcrumple.meshgen import rectangle
 from jaxcrumple.model.confinement import Ramp, Sphere
+from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.scene import Scene, sheet
 
 # Shortest wavelength of the initial imperfection in m, and how many modes each way it has at most.
@@ -55,7 +56,7 @@ def radial(
     flat = rectangle(size, size, nodes, seed=seed, sweeps=sweeps)
     height = smooth_imperfection(flat.vertices[:, :2], size, imperfection, seed)
     mesh = flat.with_rest_shape(flat.vertices + height[:, None] * np.array([0.0, 0.0, 1.0]))
-    wall = Sphere(jnp.zeros(3), Ramp(jnp.asarray(radius), jnp.asarray(-speed)))
+    wall = Sphere(jnp.zeros(3), Ramp(as_float(radius), as_float(-speed)))
     scene = sheet(mesh, material or Material(), walls=[wall], damping=damping)
     return Setup(mesh, scene, jnp.asarray(mesh.vertices))
 

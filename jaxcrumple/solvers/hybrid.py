@@ -66,10 +66,13 @@ def hybrid(
 ) -> Hybrid:
     """The hybrid integrator at relative tolerance `rtol`, with steps of `max_step` s at most.
 
-    **Raises:** ValueError for a tolerance outside (0, 0.1), an unknown linear solver or order.
+    **Raises:** ValueError for a tolerance outside (0, 0.1), a step limit that is not positive, an
+    unknown linear solver or order.
     """
     if not 0 < rtol < 0.1:
         raise ValueError(f"rtol = {rtol!r} must lie between 0 and 0.1; 1e-4 is a good start.")
+    if not max_step > 0:
+        raise ValueError(f"max_step = {max_step!r} s must be positive; leave it out for no limit.")
     if max_order not in (1, 2, 3, 4):
         raise ValueError(f"max_order = {max_order!r} must be 1, 2, 3 or 4.")
     solver = choose_linear_solver(linear) if isinstance(linear, str) else linear
