@@ -16,6 +16,7 @@ that its last checkpoint does not know; `RunDirectory.rewind` drops them before 
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -73,9 +74,10 @@ class RunDirectory:
 
     @staticmethod
     def check_free(path: str | Path) -> None:
-        """Make sure that no file and no earlier run is in the way. Nothing is changed.
+        """Make sure that nothing is in the way and that the place may be written. Nothing is changed.
 
-        **Raises:** `RunDirectoryError` if the path is a file or a folder that is not empty.
+        **Raises:** `RunDirectoryError` if the path is a file, a folder that is not empty, or in a folder
+        without permission to write.
         """
         path = Path(path)
         try:
@@ -87,6 +89,9 @@ class RunDirectory:
         if occupied:
             what = "holds a run already; resume it, or" if (path / "run.json").is_file() else "is not empty;"
             raise RunDirectoryError(f"folder {str(path)!r} {what} choose a new folder for the output")
+        nearest = next((folder for folder in (path, *path.absolute().parents) if folder.exists()), path)
+        if not os.access(nearest, os.W_OK):
+            raise RunDirectoryError(f"folder {str(nearest)!r} may not be written; choose another place")
 
     @classmethod
     def open(cls, path: str | Path) -> RunDirectory:
