@@ -12,8 +12,10 @@ from jaxcrumple.model.scene import Scene, sheet
 from jaxcrumple.run import resume_run, start_run
 from jaxcrumple.scenes import radial
 from jaxcrumple.simulate import SimulationError, Solution, frame_times, simulate
-from jaxcrumple.solvers.hybrid import Hybrid, hybrid, integrate
+from jaxcrumple.solvers.hybrid import integrate
+from jaxcrumple.solvers.linear import linear_solve
 from jaxcrumple.solvers.relax import relax
+from jaxcrumple.solvers.scheme import Hybrid, hybrid
 from jaxcrumple.solvers.switch import Switch
 from jaxcrumple.system import (
     RESULTS,
@@ -62,6 +64,7 @@ __all__ = [
     "hybrid",
     "initial_state",
     "integrate",
+    "linear_solve",
     "load",
     "mass_matrix",
     "potential_energy",

@@ -122,9 +122,10 @@ def _report(summary: dict, folder: Path, pictures: list[Path]) -> None:
         f"result: {summary['result']} ({summary['message']})",
         f"t = {summary['t_reached']:.4g} s after {summary['run_s']:.0f} s "
         f"(+ {summary['compile_s']:.0f} s compiling, {summary['cpu_s']:.0f} CPU s), rtol {summary['rtol']:g}",
-        f"steps: {steps['quasistatic']} quasistatic, {steps['dynamic']} dynamic, {steps['rejected']} "
+        f"steps: {steps['quasistatic']} quasistatic, {steps['implicit']} implicit and {steps['explicit']} "
+        f"explicit with inertia, {steps['rejected']} "
         f"rejected; {summary['switches']} switches",
-        f"dynamic stage: {share['time']:.2%} of the time, {share['steps']:.1%} of the steps",
+        f"inertia: {share['time']:.2%} of the time, {share['steps']:.1%} of the steps",
         f"energy: {energy['bending'] * 1e3:.3g} mJ bending, {energy['stretch'] * 1e3:.3g} mJ stretch",
         f"edge strain: {summary['max_edge_strain']:.2%} largest, {summary['rms_edge_strain']:.2%} rms; "
         f"wall penetration {summary['max_wall_penetration'] * 1e6:.3g} um; "

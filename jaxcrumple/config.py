@@ -9,8 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from jaxcrumple.material import Material
 from jaxcrumple.scenes import SCENES, Setup
-from jaxcrumple.solvers.hybrid import Hybrid, hybrid
-from jaxcrumple.solvers.switch import Switch
+from jaxcrumple.solvers.scheme import SWITCHES, Hybrid, hybrid
 
 
 class ConfigError(ValueError):
@@ -49,31 +48,29 @@ class SolverOptions(Options):
     """The integrator; see `hybrid` and `Switch`."""
 
     rtol: float = Field(1e-4, gt=0, lt=0.1, allow_inf_nan=False)
-    stages: Literal["hybrid", "quasistatic"] = "hybrid"
-    linear: Literal["auto", "direct", "block-cg"] = "auto"
-    max_order: Literal[3, 4] = 4
+    scheme: Literal["hybrid", "paper", "dynamic", "quasistatic", "explicit"] = "hybrid"
+    linear: Literal["auto", "direct", "two-level", "block-cg"] | None = None
+    max_order: int = Field(5, ge=1, le=5)
+    rho_infinity: float = Field(0.0, ge=0, le=1)
     max_step: float | None = Field(None, gt=0, allow_inf_nan=False)
-    switch_up: float = Field(1e-5, gt=0)
-    switch_down: float = Field(3e-6, gt=0)
-    dwell: float = Field(1e-3, ge=0)
-    ignore: int = Field(5, ge=0)
-    minimum_steps: int = Field(10, ge=1)
+    switch_up: float | None = Field(None, gt=0)
+    switch_down: float | None = Field(None, gt=0)
+    dwell: float | None = Field(None, ge=0)
+    ignore: int | None = Field(None, ge=0)
+    minimum_steps: int | None = Field(None, ge=1)
 
     def build(self) -> Hybrid:
-        """The integrator."""
-        switch = Switch(
-            up=self.switch_up,
-            down=self.switch_down,
-            dwell=self.dwell,
-            ignore=self.ignore,
-            minimum_steps=self.minimum_steps,
-            enabled=self.stages == "hybrid",
-        )
+        """The integrator; what is None is the scheme's own."""
+        given = {"up": self.switch_up, "down": self.switch_down, "dwell": self.dwell}
+        given |= {"ignore": self.ignore, "minimum_steps": self.minimum_steps}
+        switch = SWITCHES[self.scheme](**{key: value for key, value in given.items() if value is not None})
         return hybrid(
             self.rtol,
+            scheme=self.scheme,
             linear=self.linear,
             switch=switch,
             max_order=self.max_order,
+            rho_infinity=self.rho_infinity,
             max_step=jnp.asarray(jnp.inf if self.max_step is None else self.max_step),
         )
 
@@ -131,6 +128,9 @@ def configure(
             top[key] = value
         else:
             values[_group(key, groups)][key] = value
+    if values["solver"].get("scheme") == "paper" and "damping" in entry.options.model_fields:
+        # The paper's scheme has its internal damping (25), unless another is asked for.
+        values["options"].setdefault("damping", "paper")
     options = _validated(entry.options, values["options"]).model_dump()
     parts = {
         "options": options,

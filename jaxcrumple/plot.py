@@ -33,13 +33,14 @@ from jaxcrumple.measure.creases import plastic_curvature
 from jaxcrumple.measure.strain import positions
 from jaxcrumple.mesh import FloatArray, Mesh
 from jaxcrumple.solvers.log import AFTER, STEP
+from jaxcrumple.solvers.scheme import SWITCHES
 from jaxcrumple.system import STAGES
 
 CURVATURE_LABEL = "mean curvature $H$ [1/m]"
 DIVERGING = "RdBu_r"  # red is convex seen from the side of the face normals
 PALE = LinearSegmentedColormap.from_list("pale", ["#7fb2dc", "#f7f7f7", "#efa184"])  # lets lines stand out
 MOUNTAIN, VALLEY = "#8e0012", "#0a2a6b"
-STAGE_COLORS = {"quasistatic": "#1f6fb4", "dynamic": "#d9541e"}
+STAGE_COLORS = {"quasistatic": "#1f6fb4", "implicit": "#e8a33d", "explicit": "#d9541e"}
 ENERGY_COLORS = {
     "stretch": "#1f6fb4",
     "bending": "#d9541e",
@@ -214,7 +215,7 @@ def plot_run(folder: str | Path) -> list[Path]:
         plot_creases(run.mesh, last, run.p[-1], caption=now, path=folder / "creases.png"),
     ]
     if len(run.history) and (run.history["kind"] == STEP).any():
-        limits = [solver[name] for name in ("switch_down", "switch_up") if name in solver]
+        limits = _thresholds(solver)
         path = folder / "steps.png"
         pictures.append(plot_steps(run.history, run.events, thresholds=limits, caption=caption, path=path))
         pictures.append(plot_energies(run.history, caption=caption, path=folder / "energies.png"))
@@ -222,6 +223,15 @@ def plot_run(folder: str | Path) -> list[Path]:
 
 
 # Parts
+
+
+def _thresholds(solver: dict) -> list[float]:
+    """The switch's thresholds, given or the scheme's own; none where the scheme has no switch."""
+    scheme = solver.get("scheme")
+    if scheme not in ("hybrid", "paper"):
+        return []
+    own = SWITCHES[scheme]()
+    return [solver.get(f"switch_{name}") or float(getattr(own, name)) for name in ("down", "up")]
 
 
 def _figure(size: tuple[float, float], caption: str) -> Figure:

@@ -43,7 +43,7 @@ class ConsoleProgress:
     def chunk(self, state: State, history: pd.DataFrame, events: pd.DataFrame, frames: int) -> None:
         """Update the bar, or print a line."""
         stage = STAGES[int(state.stage)]
-        h = float(state.h_explicit if stage == "dynamic" else state.h)
+        h = float(state.h_explicit if stage == "explicit" else state.h)
         why = explain(self.last, state) if self.last is not None else ""
         energy = f"E = {history[list(ENERGIES)].iloc[-1].sum() * 1e3:.3g} mJ" if len(history) else ""
         text = ", ".join(part for part in (stage, f"h = {h:.1e} s", energy, why) if part)

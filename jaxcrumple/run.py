@@ -23,7 +23,7 @@ from jaxcrumple.io import (
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.scenes import Setup
 from jaxcrumple.simulate import Observer, Solution, frame_times, simulate
-from jaxcrumple.solvers.hybrid import Hybrid
+from jaxcrumple.solvers.scheme import Hybrid
 from jaxcrumple.summary import physics
 from jaxcrumple.system import STAGES, State, initial_state
 
@@ -157,7 +157,6 @@ def _summary(
     config: RunConfig, folder: RunDirectory, setup: Setup, solution: Solution, recorder: Recorder
 ) -> dict[str, Any]:
     state, counters = solution.state, solution.state.counters
-    dynamic, rejected = int(counters.dynamic), np.asarray(counters.rejected)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return {
         "scene": config.scene,
@@ -173,12 +172,12 @@ def _summary(
         # ru_maxrss is in kB on Linux and in bytes on macOS.
         "peak_memory_mb": peak / (2**20 if sys.platform == "darwin" else 2**10),
         "steps": {
-            "quasistatic": int(counters.quasistatic),
-            "dynamic": dynamic,
-            "rejected": int(rejected.sum()),
+            **dict(zip(STAGES, map(int, counters.steps), strict=True)),
+            "rejected": int(np.sum(counters.rejected)),
         },
         "newton_iterations": int(counters.newton),
         "linear_iterations": int(counters.linear),
+        "factors": int(counters.factors),
         "switches": int(counters.switches),
         **physics(setup, state, folder.history.read(), folder.events.read()),
         "versions": {name: importlib.metadata.version(name) for name in PACKAGES},

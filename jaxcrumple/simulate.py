@@ -13,9 +13,10 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from jaxcrumple.model.scene import Scene
-from jaxcrumple.solvers.hybrid import Hybrid, hybrid, integrate
+from jaxcrumple.solvers.hybrid import integrate
 from jaxcrumple.solvers.log import AFTER, BEFORE, Row
-from jaxcrumple.system import CAUSES, RESULTS, STAGES, State
+from jaxcrumple.solvers.scheme import Hybrid, hybrid
+from jaxcrumple.system import CAUSES, EXPLICIT, IMPLICIT, QUASISTATIC, RESULTS, STAGES, State
 from jaxcrumple.threads import single_threaded_blas
 
 _integrate = eqx.filter_jit(integrate)
@@ -168,7 +169,7 @@ class _Budget:
 
 def _attempts(state: State) -> int:
     counters = state.counters
-    return int(counters.quasistatic) + int(counters.dynamic) + int(np.sum(counters.rejected))
+    return int(np.sum(counters.steps)) + int(np.sum(counters.rejected))
 
 
 def _compile(scene: Scene, state: State, solver: Hybrid) -> float:
@@ -195,7 +196,11 @@ def _advance(scene, state: State, t_stop: float, solver, watchers, frames: int, 
 def history_table(rows: np.ndarray) -> pd.DataFrame:
     """Rows of a `Log` as a table with the columns of `Row`; the stage in words."""
     table = pd.DataFrame(rows, columns=list(Row._fields))
-    counts = ("kind", "order", *(name for name in Row._fields if name.endswith(("_steps", "_iterations"))))
+    counts = (
+        "kind",
+        "order",
+        *(name for name in Row._fields if name.endswith(("_steps", "_iterations", "factors"))),
+    )
     table = table.astype(dict.fromkeys(counts, int))
     table["stage"] = [STAGES[int(stage)] for stage in table["stage"]]
     return table
@@ -263,8 +268,7 @@ def _joined(tables: list[pd.DataFrame], empty: pd.DataFrame) -> pd.DataFrame:
 
 def explain(before: State, after: State) -> str:
     """What the steps between two states were spent on, and why the run is slow if it is."""
-    quasistatic = int(after.counters.quasistatic) - int(before.counters.quasistatic)
-    dynamic = int(after.counters.dynamic) - int(before.counters.dynamic)
+    steps = np.asarray(after.counters.steps) - np.asarray(before.counters.steps)
     rejected = np.asarray(after.counters.rejected) - np.asarray(before.counters.rejected)
     reasons = {
         "error": "the tolerance",
@@ -273,9 +277,9 @@ def explain(before: State, after: State) -> str:
         "fold": "hinges about to pass 180 degrees",
         "nonfinite": "steps that are not finite",
     }
-    if dynamic > quasistatic:
+    if steps[EXPLICIT] > steps[QUASISTATIC] + steps[IMPLICIT]:
         return f"a snap: explicit steps of {float(after.h_explicit):.1e} s, at their stability limit"
     worst = int(np.argmax(rejected))
-    if rejected[worst] * 4 > quasistatic:
+    if rejected[worst] * 4 > steps[QUASISTATIC] + steps[IMPLICIT]:
         return f"steps are cut by {reasons[CAUSES[worst]]}"
     return ""

@@ -9,7 +9,7 @@ import pandas as pd
 from jaxcrumple.measure.creases import crease_length, folded_hinges
 from jaxcrumple.measure.strain import edge_strain
 from jaxcrumple.scenes import Setup
-from jaxcrumple.system import CAUSES, State, energies
+from jaxcrumple.system import CAUSES, QUASISTATIC, State, energies
 
 _energies = eqx.filter_jit(energies)
 
@@ -37,16 +37,20 @@ def physics(setup: Setup, state: State, history: pd.DataFrame, events: pd.DataFr
 
 
 def dynamic_share(state: State, events: pd.DataFrame) -> dict[str, float]:
-    """Share of the simulated time and of the steps that the dynamic stage took."""
-    total, since, spent = float(state.t), None, 0.0
+    """Share of the simulated time and of the steps that the stages with inertia took.
+
+    A run without a change of stage spent all its time in the one it ended in.
+    """
+    total, last, spent = float(state.t), 0.0, 0.0
     for event in events.itertuples():
-        if event.to == "dynamic":
-            since = event.t
-        elif since is not None:
-            spent, since = spent + event.t - since, None
-    spent += total - since if since is not None else 0.0
-    steps = int(state.counters.dynamic) + int(state.counters.quasistatic)
-    return {"time": spent / total if total else 0.0, "steps": int(state.counters.dynamic) / max(steps, 1)}
+        spent += event.t - last if event.origin != "quasistatic" else 0.0
+        last = event.t
+    spent += total - last if int(state.stage) != QUASISTATIC else 0.0
+    steps = np.asarray(state.counters.steps)
+    return {
+        "time": spent / total if total else 0.0,
+        "steps": float(1.0 - steps[QUASISTATIC] / max(steps.sum(), 1)),
+    }
 
 
 def _quantiles(history: pd.DataFrame) -> dict[str, dict[str, float]]:

@@ -13,10 +13,10 @@ from jaxcrumple.model.loads import Prescribed
 from jaxcrumple.model.plasticity import implicit_update
 from jaxcrumple.model.scene import Scene
 
-# Points the multistep history holds: enough for BDF4 and a cubic predictor.
-HISTORY = 4
-QUASISTATIC, DYNAMIC = 0, 1
-STAGES = ("quasistatic", "dynamic")
+# Points the multistep history holds: BDF5 and the predictor that its error estimate needs.
+HISTORY = 6
+QUASISTATIC, IMPLICIT, EXPLICIT = 0, 1, 2
+STAGES = ("quasistatic", "implicit", "explicit")
 
 
 class RESULTS(eqx.Enumeration):  # type: ignore[misc]
@@ -25,8 +25,8 @@ class RESULTS(eqx.Enumeration):  # type: ignore[misc]
     success = "the run reached its end time"
     budget = "the budget of step attempts was used up before the end time; resume to go on"
     collapsed = (
-        "the step size fell below what float64 resolves although both stages were tried; the last "
-        "good state is kept. Look at the causes of rejection, and try a smaller rtol or more drag"
+        "the step size fell below what float64 resolves in every stage the scheme has; the last good "
+        "state is kept. Look at the causes of rejection, and try another scheme, a smaller rtol or more drag"
     )
     nonfinite = (
         "forces are not finite in the current state; it is kept as it was. Look for zero-length "
@@ -35,17 +35,20 @@ class RESULTS(eqx.Enumeration):  # type: ignore[misc]
 
 
 class History(eqx.Module):
-    """Accepted quasistatic points, newest first.
+    """Accepted points of the implicit stages, newest first.
 
-    `x` (4, n, 3); `p` (4, h) or None; `steps` (4,): `steps[j]` is the time between points j and
-    j+1; `count`: how many points are valid. 0 means that the one point's velocity does not balance
-    the forces yet (a start, or the end of a dynamic stage): the next step aligns it.
+    `x` (6, n, 3); `v` (2, n, 3); `p` (6, h) or None; `steps` (6,): `steps[j]` is the time between
+    points j and j+1; `count`: how many points are valid. 0 means that the one point's velocity need
+    not balance the forces (a start, or the end of an explicit stage): a quasistatic step aligns it.
+    `order`: order of the next quasistatic step.
     """
 
     x: Array
+    v: Array
     p: Array | None
     steps: Array
     count: Array
+    order: Array
 
 
 class Monitor(eqx.Module):
@@ -57,13 +60,14 @@ class Monitor(eqx.Module):
 
 
 class Counters(eqx.Module):
-    """What has been spent. `rejected` counts by cause in the order of `CAUSES`."""
+    """What has been spent: accepted `steps` by stage, `rejected` ones by cause in the order of `CAUSES`,
+    `newton` iterations (each one linear solve), `linear` iterations of the solves, `factors` made."""
 
-    quasistatic: Array
-    dynamic: Array
+    steps: Array
     rejected: Array
     newton: Array
     linear: Array
+    factors: Array
     switches: Array
 
 
@@ -74,7 +78,8 @@ class State(eqx.Module):
     """All that evolves. Fixed structure, so that a checkpoint is the whole State.
 
     `t` s; `x` (n, 3) m; `v` (n, 3) m/s; `p` (h,) rest curvature or None in an elastic scene; `h`,
-    `h_explicit`: next step of each stage in s; `stage`: `QUASISTATIC` or `DYNAMIC`.
+    `h_explicit`: next step of the implicit stages and of the explicit one in s; `stage`:
+    `QUASISTATIC`, `IMPLICIT` or `EXPLICIT`.
     """
 
     t: Array
@@ -112,21 +117,22 @@ def initial_state(scene: Scene, x: Array, v: Array | None = None, *, window: int
         h=nought,
         h_explicit=nought,
         stage=jnp.asarray(QUASISTATIC, int),
-        history=restart_history(x, p),
+        history=restart_history(x, v, p),
         monitor=Monitor(jnp.zeros(window), zero, nought),
-        counters=Counters(zero, zero, jnp.zeros(len(CAUSES), int), zero, zero, zero),
+        counters=Counters(jnp.zeros(len(STAGES), int), jnp.zeros(len(CAUSES), int), zero, zero, zero, zero),
         result=RESULTS.success,  # type: ignore[arg-type]
     )
 
 
-def restart_history(x: Array, p: Array | None) -> History:
+def restart_history(x: Array, v: Array, p: Array | None) -> History:
     """History that holds the current point alone, with a velocity that nobody vouches for."""
 
-    def repeat(a: Array) -> Array:
-        return jnp.broadcast_to(a, (HISTORY, *a.shape))
+    def repeat(a: Array, times: int) -> Array:
+        return jnp.broadcast_to(a, (times, *a.shape))
 
-    past = None if p is None else repeat(p)
-    return History(repeat(x), past, jnp.ones(HISTORY), jnp.asarray(0, int))
+    past = None if p is None else repeat(p, HISTORY)
+    one = jnp.asarray(1, int)
+    return History(repeat(x, HISTORY), repeat(v, 2), past, jnp.ones(HISTORY), one - 1, one)
 
 
 class Energies(NamedTuple):
@@ -198,34 +204,50 @@ def _force_and_rate(scene: Scene, x, v, p, t) -> tuple[Array, Array | None]:
 class ImplicitStep(eqx.Module):
     """What an implicit step knows of the past: $\\dot y = (y + \\sum_j \\alpha_j y_j)/(\\beta h)$ (eq. 39).
 
-    `t` the new time; `beta_h` in s; `x_memory` (n, 3), `p_memory` (h,) and `damping_memory` hold
-    $\\sum_j \\alpha_j y_j$.
+    `t` time of the equations; `beta_h` in s; `x_memory` (n, 3), `p_memory` (h,) and `damping_memory`
+    hold $\\sum_j \\alpha_j y_j$; so does `v_memory` (n, 3), or it is None where no stage has inertia.
+    `inertia` is 1 with the inertial force and 0 without.
     """
 
     t: Array
     beta_h: Array
     x_memory: Array
+    v_memory: Array | None
     p_memory: Array | None
     damping_memory: Any
+    inertia: Array
 
     def velocity(self, x: Array) -> Array:
         """Velocity (n, 3) that the formula gives for new positions `x`."""
         return (x + self.x_memory) / self.beta_h
 
+    def acceleration(self, v: Array) -> Array:
+        """Acceleration (n, 3) that the formula gives for new velocities `v`; 0 without inertia."""
+        if self.v_memory is None:
+            return jnp.zeros_like(v)
+        return self.inertia * (v + self.v_memory) / self.beta_h
 
-def implicit_step(scene: Scene, history: History, alpha: Array, beta_h: Array, t: Array) -> ImplicitStep:
-    """The implicit step to time `t` with coefficients `alpha` (4,) over the history."""
+
+def implicit_step(
+    scene: Scene, history: History, alpha: Array, beta_h: Array, t: Array, inertia: Array | None = None
+) -> ImplicitStep:
+    """The implicit step with equations at time `t` and coefficients `alpha` (6,) over the history.
+
+    With `inertia` (0 or 1) only the first two coefficients may differ from 0.
+    """
     return ImplicitStep(
         t=t,
         beta_h=beta_h,
         x_memory=jnp.tensordot(alpha, history.x, 1),
+        v_memory=None if inertia is None else jnp.tensordot(alpha[:2], history.v, 1),
         p_memory=None if history.p is None else alpha @ history.p,
         damping_memory=None if scene.damping is None else scene.damping.memory(history.x, alpha),
+        inertia=jnp.zeros(()) if inertia is None else inertia,
     )
 
 
 def residual(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array | None]:
-    """Residual -F (n, 3) of the condensed system (51), with v and p eliminated, and the new p.
+    """Residual $Ma - F$ (n, 3) of the condensed system (51), with v and p eliminated, and the new p.
 
     The plastic update is solved to rounding hinge by hinge rather than linearised, so Newton's only
     unknown is x; at the solution this is eqs. (47)-(49).
@@ -247,6 +269,8 @@ def _condensed(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array
         total = total + scene.drag.force(v)
     if scene.damping is not None:
         total = total + scene.damping.step_force(x, v, step.damping_memory, step.beta_h)
+    if step.v_memory is not None:
+        total = total - scene.mass[:, None] * step.acceleration(v)
     value = -total if scene.prescribed is None else scene.prescribed.free(-total)
     return value, p, softening
 
@@ -261,6 +285,8 @@ def linearize(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array]
         edge_blocks = edge_blocks + scene.damping.step_blocks(x, v, step.damping_memory, step.beta_h)
     if scene.drag is not None:
         nodes = nodes + (scene.drag.coefficient / step.beta_h)[:, None, None] * jnp.eye(3)
+    if step.v_memory is not None:
+        nodes = nodes + (step.inertia * scene.mass / step.beta_h**2)[:, None, None] * jnp.eye(3)
     hinge_blocks = scene.bending.blocks(x, scene.rest_curvature(p), softening)
     return value, _assemble(scene, x, step.t, edge_blocks, hinge_blocks, nodes)
 

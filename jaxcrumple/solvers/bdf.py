@@ -1,4 +1,6 @@
-"""Variable-step backward differentiation formulas, coefficients from the step history."""
+"""Variable-step multistep formulas from the step history: BDF, and a two-step family for inertia."""
+
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -7,12 +9,12 @@ from jaxcrumple.system import HISTORY, History
 
 
 def _lags(h: Array, steps: Array) -> Array:
-    """Distance (4,) from the new time back to each point of the history."""
+    """Distance (6,) from the new time back to each point of the history."""
     return h + jnp.concatenate([jnp.zeros(1, steps.dtype), jnp.cumsum(steps[:-1])])
 
 
 def extrapolation(h: Array, steps: Array, points: Array) -> Array:
-    """Weights (4,) of the Lagrange predictor through the newest `points` points, at the new time."""
+    """Weights (6,) of the Lagrange predictor through the newest `points` points, at the new time."""
     lags = _lags(h, steps)
     used = jnp.arange(HISTORY) < points
     ratio = lags[None, :] / jnp.where(jnp.eye(HISTORY, dtype=bool), 1.0, lags[None, :] - lags[:, None])
@@ -23,9 +25,9 @@ def extrapolation(h: Array, steps: Array, points: Array) -> Array:
 def coefficients(h: Array, steps: Array, order: Array) -> tuple[Array, Array]:
     """BDF coefficients of eq. (39): the derivative at the new time of the interpolant.
 
-    **Arguments:** `h` new step in s; `steps` (4,) past steps; `order` 1 ... 4 (may be traced).
+    **Arguments:** `h` new step in s; `steps` (6,) past steps; `order` 1 ... 6 (may be traced).
 
-    **Returns:** `alpha` (4,), zero beyond the order, and `beta * h`, such that
+    **Returns:** `alpha` (6,), zero beyond the order, and `beta * h`, such that
     $\\dot y_{new} = (y_{new} + \\sum_j \\alpha_j y_j)/(\\beta h)$.
     """
     lags = _lags(h, steps)
@@ -34,7 +36,52 @@ def coefficients(h: Array, steps: Array, order: Array) -> tuple[Array, Array]:
     return -extrapolation(h, steps, order) / lags * beta_h, beta_h
 
 
-def push(history: History, h: Array, x: Array, p: Array | None) -> History:
+def error_constant(h: Array, steps: Array, order: Array) -> Array:
+    """Local error of BDF `order` as a share of (solution - predictor through order + 1 points).
+
+    Both are the same divided difference of order + 2 points times a known polynomial in the steps:
+    the share is $\\beta h / (t_{new} - t_{order})$, whatever the step ratios.
+    """
+    _, beta_h = coefficients(h, steps, order)
+    return beta_h / _lags(h, steps)[order]
+
+
+class TwoStep(NamedTuple):
+    """A step of the two-step family for the unknown $Y = \\theta y_{new} + (1 - \\theta) y_0$.
+
+    $\\dot Y = (Y + \\sum_j \\alpha_j y_j)/(\\beta h)$ with `alpha` (6,); `error` is the local error as a
+    share of (solution - predictor through three points, or the Euler step at order 1).
+    """
+
+    alpha: Array
+    beta_h: Array
+    error: Array
+
+
+def two_step(h: Array, steps: Array, order: Array, theta: Array) -> TwoStep:
+    """One-leg method of order 1 or 2, A-stable for theta in [1/2, 1], for stages with inertia.
+
+    The derivative at $t_0 + \\theta h$ of the parabola through the new point and the last two equals the
+    right-hand side at $\\theta y_{new} + (1 - \\theta) y_0$. $\\theta = 1$ is BDF2, 1/2 the implicit
+    midpoint rule; a mode of infinite frequency shrinks by $\\rho_\\infty = (1 - \\theta)/\\theta$ a step. On
+    the imaginary axis the loss is proportional to $\\theta (\\theta - 1/2) (1 - \\cos\\varphi)^2 \\ge 0$.
+    """
+    first, last = steps[0], steps[1]
+    s = theta * h
+    second = order > 1
+    new = jnp.where(second, (2.0 * s + first) / (h * (h + first)), 1.0 / h)
+    now = jnp.where(second, (h - first - 2.0 * s) / (h * first), -1.0 / h)
+    before = jnp.where(second, (2.0 * s - h) / (first * (first + h)), 0.0)
+    beta_h = theta / new
+    alpha = jnp.zeros(HISTORY).at[0].set(beta_h * now - (1.0 - theta)).at[1].set(beta_h * before)
+    # Third divided difference times the defects of the parabola's derivative and of the mean value.
+    slope = 3.0 * s * s + 2.0 * s * (first - h) - h * first
+    defect = slope + 3.0 * theta * (1.0 - theta) * h * h
+    error = jnp.abs(defect) / (new * h * (h + first) * (h + first + last))
+    return TwoStep(alpha, beta_h, jnp.where(second, error, h / (h + first)))
+
+
+def push(history: History, h: Array, x: Array, v: Array, p: Array | None, order: Array) -> History:
     """History with a new accepted point in front."""
 
     def shift(past: Array, new: Array) -> Array:
@@ -42,4 +89,6 @@ def push(history: History, h: Array, x: Array, p: Array | None) -> History:
 
     past = None if history.p is None or p is None else shift(history.p, p)
     count = jnp.minimum(history.count + 1, HISTORY)
-    return History(shift(history.x, x), past, shift(history.steps, h), count)
+    return History(
+        shift(history.x, x), shift(history.v, v), past, shift(history.steps, h), count, order
+    )  # fmt: skip

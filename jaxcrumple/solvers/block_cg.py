@@ -1,11 +1,14 @@
 """The paper's solver: conjugate gradients with Hilbert-ordered block-Jacobi blocks (Section 3.3)."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxcrumple.model.pattern import Pattern
+from jaxcrumple.solvers.cg import conjugate_gradients
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor, Solution, identity_values
 
 
@@ -18,12 +21,11 @@ class BlockCG(AbstractLinearSolver):
     **Arguments:**
 
     - `block_size`: unknowns per dense block.
-    - `rtol`: residual reduction at which to stop.
     - `max_iterations`: after which the last iterate is returned.
     """
 
+    exact: ClassVar[bool] = False
     block_size: int = eqx.field(static=True, default=96)
-    rtol: float = 1e-6
     max_iterations: int = 20000
 
     def start(self, pattern: Pattern) -> Factor:
@@ -54,7 +56,7 @@ class BlockCG(AbstractLinearSolver):
         inverse = jax.vmap(lambda c: jax.scipy.linalg.cho_solve((c, True), identity))(factors)
         return jnp.where(sound, inverse, identity), sound
 
-    def solve(self, pattern: Pattern, factor: Factor, rhs: Array) -> Solution:
+    def solve(self, pattern: Pattern, factor: Factor, values: Array, rhs: Array, rtol: Array) -> Solution:
         """Conjugate gradients; `indefinite` is set when a direction of negative curvature appears."""
         total = rhs.shape[0]
         count = factor.workspace.shape[0]
@@ -64,25 +66,7 @@ class BlockCG(AbstractLinearSolver):
             blocks = padded.reshape(count, self.block_size)
             return jnp.einsum("bij,bj->bi", factor.workspace, blocks).reshape(-1)[:total]
 
-        def body(carry):
-            x, r, z, d, rz, _, count = carry
-            product = pattern.product(factor.values, d)
-            bend = d @ product
-            positive = bend > 0
-            step = jnp.where(positive, rz / bend, 0.0)
-            x, r = x + step * d, r - step * product
-            z = precondition(r)
-            new = r @ z
-            return x, r, z, z + (new / rz) * d, new, positive, count + 1
-
-        def unfinished(carry):
-            _, r, _, _, _, positive, count = carry
-            return positive & (jnp.linalg.norm(r) > goal) & (count < self.max_iterations)
-
-        goal = self.rtol * jnp.linalg.norm(rhs)
-        z = precondition(rhs)
-        init = (jnp.zeros_like(rhs), rhs, z, z, rhs @ z, jnp.asarray(True), jnp.asarray(0))
-        x, _, _, _, _, positive, iterations = jax.lax.while_loop(unfinished, body, init)
-        # The loop never starts on a right-hand side that is not finite: say so instead of zero.
-        x = jnp.where(jnp.isfinite(goal), x, jnp.nan)
+        x, iterations, positive = conjugate_gradients(
+            lambda d: pattern.product(values, d), precondition, rhs, rtol, self.max_iterations
+        )
         return Solution(x, iterations, ~positive | (factor.negative > 0))

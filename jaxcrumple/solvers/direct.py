@@ -1,9 +1,12 @@
 """Sparse direct solver: $L D L^T$ by oneMKL PARDISO inside jit, with the inertia of the matrix."""
 
+from typing import ClassVar
+
 import jax.numpy as jnp
 from jax import Array
 
 from jaxcrumple.model.pattern import Pattern
+from jaxcrumple.solvers.cg import conjugate_gradients
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor, Solution, identity_values
 
 
@@ -13,7 +16,14 @@ class Direct(AbstractLinearSolver):
     The symmetric indefinite mode is used even where a positive definite matrix is expected: it never
     raises out of the program, and the number of negative eigenvalues it reports is an exact test of
     the equilibrium's stability. A factor that fell out of the library's cache is rebuilt silently.
+
+    It cannot be batched by `vmap`: a factor lives outside the arrays. Use `TwoLevel` there.
+
+    **Arguments:** `max_iterations`: conjugate gradient iterations with a factor of other values.
     """
+
+    exact: ClassVar[bool] = True
+    max_iterations: int = 200
 
     def start(self, pattern: Pattern) -> Factor:
         """Analyse the pattern (nested dissection)."""
@@ -36,21 +46,26 @@ class Direct(AbstractLinearSolver):
         negative = jnp.where(finite, report[22], 1).astype(int)
         return Factor(safe, token, negative)
 
-    def solve(self, pattern: Pattern, factor: Factor, rhs: Array) -> Solution:
-        """Back substitution."""
+    def solve(self, pattern: Pattern, factor: Factor, values: Array, rhs: Array, rtol: Array) -> Solution:
+        """One back substitution if the factor is of these `values`; else conjugate gradients with it."""
         from pardiso_mkl_jax import primitive
 
-        finite = jnp.all(jnp.isfinite(rhs))
-        safe = jnp.where(finite, rhs, 0.0)
-        x, _, _ = primitive.solve_stateful(
-            factor.workspace,
-            pattern.indptr,
-            pattern.indices,
-            factor.values,
-            safe[None],
-            matrix_type=_kind(),
+        def substitute(r: Array) -> Array:
+            x, _, _ = primitive.solve_stateful(
+                factor.workspace,
+                pattern.indptr,
+                pattern.indices,
+                factor.values,
+                r[None],
+                matrix_type=_kind(),
+            )
+            return x[0]
+
+        rhs = jnp.where(factor.negative > 0, 0.0, rhs)
+        x, count, positive = conjugate_gradients(
+            lambda d: pattern.product(values, d), substitute, rhs, rtol, self.max_iterations
         )
-        return Solution(jnp.where(finite, x[0], jnp.nan), jnp.asarray(1), factor.negative > 0)
+        return Solution(x, count, ~positive | (factor.negative > 0))
 
 
 def _kind():

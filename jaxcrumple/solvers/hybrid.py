@@ -1,4 +1,4 @@
-"""`integrate`: the hybrid of the quasistatic and the dynamic stage as one traced function."""
+"""`integrate`: the stages of a scheme and the changes between them as one traced function."""
 
 from typing import Any, NamedTuple
 
@@ -8,16 +8,17 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxcrumple.model.scene import Scene
-from jaxcrumple.solvers import explicit, quasistatic
+from jaxcrumple.solvers import explicit
 from jaxcrumple.solvers.bdf import push
-from jaxcrumple.solvers.choice import choose_linear_solver
-from jaxcrumple.solvers.explicit import Explicit
-from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
+from jaxcrumple.solvers.implicit import Attempt, aligns
+from jaxcrumple.solvers.linear import Factor
 from jaxcrumple.solvers.log import AFTER, BEFORE, STEP, Log, Row, append, empty_log
-from jaxcrumple.solvers.quasistatic import Quasistatic
-from jaxcrumple.solvers.switch import Switch, fresh_monitor, observe, wants_switch
+from jaxcrumple.solvers.scheme import Hybrid
+from jaxcrumple.solvers.switch import fresh_monitor, has_settled, observe, wants_inertia
 from jaxcrumple.system import (
-    DYNAMIC,
+    CAUSES,
+    EXPLICIT,
+    IMPLICIT,
     QUASISTATIC,
     RESULTS,
     Counters,
@@ -29,66 +30,25 @@ from jaxcrumple.system import (
 
 # Cost units: a call ends after BUDGET units, so that its caller can save, and reports in between.
 BUDGET = 1024
-QUASISTATIC_COST, DYNAMIC_COST = 32, 1
-# One dynamic step in this many is logged: they are short and many.
-DYNAMIC_LOG_EVERY = 16
-LOG_CAPACITY = BUDGET // QUASISTATIC_COST + BUDGET // DYNAMIC_LOG_EVERY + 64
+IMPLICIT_COST, EXPLICIT_COST = 32, 1
+# One explicit step in this many is logged: they are short and many.
+EXPLICIT_LOG_EVERY = 16
+LOG_CAPACITY = BUDGET // IMPLICIT_COST + BUDGET // EXPLICIT_LOG_EVERY + 64
 # A quasistatic step below this share of the explicit stability limit hands over: to integrate the
 # motion is cheaper then. Not 1, because a start at low order may need a few steps that short.
 COLLAPSE = 0.05
+# An implicit step costs as much as this many explicit ones; one that is not longer gives way to them.
+BREAK_EVEN = 30
+# Explicit steps, in stability limits, before the implicit stage is tried again.
+SPELL = 1000
 # Relative to the time, a step below this is lost to rounding.
 SMALLEST_STEP = 1e-13
-
-
-class Hybrid(eqx.Module):
-    """How to integrate: options of both stages and of the switch.
-
-    - `first_step`: first quasistatic step of a run in s.
-    - `restart_steps`: first quasistatic step after a dynamic stage, in explicit stability limits.
-    - `max_step`: largest step in s.
-    """
-
-    quasistatic: Quasistatic
-    explicit: Explicit
-    switch: Switch
-    first_step: Array = eqx.field(default=1e-4, converter=jnp.asarray)
-    restart_steps: Array = eqx.field(default=10.0, converter=jnp.asarray)
-    max_step: Array | float = eqx.field(default=jnp.inf, converter=jnp.asarray)
-
-
-def hybrid(
-    rtol: float = 1e-4,
-    *,
-    linear: str | AbstractLinearSolver = "auto",
-    switch: Switch | None = None,
-    max_order: int = 4,
-    max_step: Array | float = jnp.inf,
-) -> Hybrid:
-    """The hybrid integrator at relative tolerance `rtol`, with steps of `max_step` s at most.
-
-    **Raises:** ValueError for a tolerance outside (0, 0.1), a step limit that is not positive, an
-    unknown linear solver or order.
-    """
-    if not 0 < rtol < 0.1:
-        raise ValueError(f"rtol = {rtol!r} must lie between 0 and 0.1; 1e-4 is a good start.")
-    if not max_step > 0:
-        raise ValueError(f"max_step = {max_step!r} s must be positive; leave it out for no limit.")
-    if max_order not in (1, 2, 3, 4):
-        raise ValueError(f"max_order = {max_order!r} must be 1, 2, 3 or 4.")
-    solver = choose_linear_solver(linear) if isinstance(linear, str) else linear
-    tolerance = jnp.asarray(float(rtol))
-    return Hybrid(
-        Quasistatic(tolerance, solver, max_order=max_order),
-        Explicit(tolerance),
-        switch or Switch(),
-        max_step=max_step,
-    )
 
 
 class _Carry(NamedTuple):
     state: State
     log: Log
-    factor: Factor
+    factor: Factor | None
     spent: Array
     done: Array
 
@@ -105,16 +65,18 @@ def integrate(scene: Scene, state: State, t_stop: Array, solver: Hybrid) -> tupl
     """
     state = _with_result(state, ~_is_sound(scene, state), RESULTS.nonfinite)
     start_h = jnp.where(state.h > 0, state.h, jnp.minimum(solver.first_step, solver.max_step))
-    state = eqx.tree_at(lambda s: s.h, state, start_h)
-    zero = jnp.asarray(0)
-    factor = solver.quasistatic.linear.start(scene.pattern)
-    carry = _Carry(state, empty_log(LOG_CAPACITY), factor, zero, state.t >= t_stop)
+    known = jnp.any(state.stage == jnp.asarray(solver.stages))
+    stage = jnp.where(known, state.stage, solver.stages[0])
+    state = eqx.tree_at(lambda s: (s.h, s.stage), state, (start_h, stage))
+    factor = None if solver.implicit is None else solver.implicit.linear.start(scene.pattern)
+    carry = _Carry(state, empty_log(LOG_CAPACITY), factor, jnp.asarray(0), state.t >= t_stop)
 
-    def both(carry: _Carry) -> _Carry:
-        carry = _quasistatic_stage(scene, carry, t_stop, solver)
-        return _dynamic_stage(scene, carry, t_stop, solver)
+    def stages(carry: _Carry) -> _Carry:
+        if solver.implicit is not None:
+            carry = _implicit_stages(scene, carry, t_stop, solver)
+        return _explicit_stage(scene, carry, t_stop, solver) if solver.has(EXPLICIT) else carry
 
-    end = jax.lax.while_loop(_going, both, carry)
+    end = jax.lax.while_loop(_going, stages, carry)
     return end.state, end.log
 
 
@@ -146,7 +108,7 @@ def _row(scene: Scene, state: State, kind: int, h, order, error) -> Row:
     monitor, count = state.monitor, state.counters
     return Row(
         kind, state.t, state.stage, h, monitor.ratios[0], jnp.mean(monitor.ratios), *parts,
-        order, error, count.newton, count.linear, count.quasistatic, count.dynamic,
+        order, error, count.newton, count.linear, count.factors, *count.steps,
         jnp.sum(count.rejected),
     )  # fmt: skip
 
@@ -159,71 +121,102 @@ def _max_norm(a: Array) -> Array:
     return jnp.sqrt(jnp.max(jnp.sum(a * a, axis=1)))
 
 
-def _quasistatic_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid) -> _Carry:
-    """Run the quasistatic stage for as long as it lasts."""
+def _implicit_stages(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid) -> _Carry:
+    """Run the quasistatic stage and the implicit one with inertia, until an explicit one is due."""
     limit = explicit.stability_limit(scene, carry.state.x)
 
     def unfinished(carry: _Carry) -> Array:
-        return _going(carry) & (carry.state.stage == QUASISTATIC)
+        return _going(carry) & (carry.state.stage != EXPLICIT)
 
     def body(carry: _Carry) -> _Carry:
-        return _quasistatic_step(scene, carry, t_stop, solver, limit)
+        return _implicit_step(scene, carry, t_stop, solver, limit)
 
     return jax.lax.while_loop(unfinished, body, carry)
 
 
-def _quasistatic_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid, limit) -> _Carry:
+def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid, limit) -> _Carry:
     state = carry.state
     wanted = jnp.minimum(state.h, solver.max_step)
     # The step that aligns the velocity with the forces is as short as an explicit one.
-    aligning = state.history.count == 0
+    aligning = aligns(state)
     wanted = jnp.where(aligning, jnp.minimum(wanted, limit), wanted)
     h, lands = _clip_step(state.t, wanted, t_stop)
-    tried = quasistatic.attempt(scene, state, h, solver.quasistatic, carry.factor)
-    ratio = _max_norm(tried.v - state.v) / h / scene.reference_acceleration
-    t = jnp.where(lands, t_stop, state.t + h)
+    tried = solver.implicit.attempt(scene, state, h, carry.factor)
+    moved = _moved(scene, state, tried, h, jnp.where(lands, t_stop, state.t + h), solver)
+    suggested = tried.next_h
+    # A step shortened only to land on a given time must not make the next one short.
+    held = tried.accepted & ((h < wanted) | aligning)
+    suggested = jnp.where(held, jnp.maximum(suggested, state.h), suggested)
+    suggested = jnp.where(jnp.isfinite(suggested), suggested, 0.1 * h)
+    counters = _count(
+        state.counters, state.stage, tried.accepted, tried.cause, tried.newton, tried.linear, tried.factors
+    )
+    moved = eqx.tree_at(
+        lambda s: (s.h, s.history.order, s.counters), moved, (suggested, tried.next_order, counters)
+    )
+    log = append(carry.log, _row(scene, moved, STEP, h, tried.order, tried.error), tried.accepted)
+    moved, log = _change_stage(scene, moved, log, tried, solver, limit)
+    return _Carry(moved, log, tried.factor, carry.spent + IMPLICIT_COST, tried.accepted & lands)
+
+
+def _moved(scene: Scene, state: State, tried: Attempt, h: Array, t: Array, solver: Hybrid) -> State:
+    """The state after an implicit step, or as it was where the step is rejected."""
+    ratio = _max_norm(tried.acceleration) / scene.reference_acceleration
     moved = eqx.tree_at(
         lambda s: (s.t, s.x, s.v, s.history, s.monitor),
         state,
         (
-            t, tried.x, tried.v, push(state.history, h, tried.x, tried.p),
+            t, tried.x, tried.v,
+            push(state.history, h, tried.x, tried.v, tried.p, tried.next_order),
             observe(state.monitor, state.stage, ratio, h, solver.switch),
         ),
     )  # fmt: skip
     if state.p is not None:
         moved = eqx.tree_at(lambda s: s.p, moved, tried.p)
-    moved = _select(tried.accepted, moved, state)
-    suggested = quasistatic.next_step(tried, h)
-    # A step shortened only to land on a given time must not make the next one short.
-    held = tried.accepted & ((h < wanted) | aligning)
-    suggested = jnp.where(held, jnp.maximum(suggested, state.h), suggested)
-    moved = eqx.tree_at(lambda s: s.h, moved, jnp.where(jnp.isfinite(suggested), suggested, 0.1 * h))
-    counters = _count(state.counters, QUASISTATIC, tried.accepted, tried.cause, tried.newton, tried.linear)
-    moved = eqx.tree_at(lambda s: s.counters, moved, counters)
-    row = _row(scene, moved, STEP, h, tried.order, tried.error)
-    log = append(carry.log, row, tried.accepted)
-    done = tried.accepted & lands
-    if solver.switch.enabled:
-        collapsed = ~tried.accepted & (moved.h < COLLAPSE * limit)
-        asked = tried.accepted & wants_switch(moved.monitor, moved.stage, solver.switch)
-        h_explicit = solver.explicit.safety * limit
-        moved, log = _maybe_switch(scene, moved, log, asked | collapsed, DYNAMIC, h_explicit)
-    else:
-        lost = ~tried.accepted & (moved.h < SMALLEST_STEP * jnp.maximum(moved.t, 1.0))
-        moved = _with_result(moved, lost, RESULTS.collapsed)
-    return _Carry(moved, log, tried.factor, carry.spent + QUASISTATIC_COST, done)
+    return _select(tried.accepted, moved, state)
 
 
-def _count(counters: Counters, stage: int, accepted, cause, newton, linear) -> Counters:
+def _change_stage(scene: Scene, state: State, log: Log, tried: Attempt, solver: Hybrid, limit):
+    """Hand over after an implicit step where its stage cannot or need not go on."""
+    quasistatic, inertial = state.stage == QUASISTATIC, state.stage == IMPLICIT
+    rejected, short = ~tried.accepted, state.h < COLLAPSE * limit
+    asked = quasistatic & tried.accepted & wants_inertia(state.monitor, solver.switch)
+    h_explicit = solver.explicit.safety * limit if solver.explicit is not None else limit
+    if solver.has(IMPLICIT):
+        # Inertia holds an equilibrium that is lost only in steps shorter than its own time.
+        lost = rejected & (tried.cause != CAUSES.index("error")) & (state.h < _inertial_time(scene))
+        up = quasistatic & (asked | lost | (rejected & short))
+        if solver.has(QUASISTATIC):
+            state, log = _maybe_switch(scene, state, log, up, IMPLICIT, state.h)
+            down = inertial & tried.accepted & has_settled(state.monitor, solver.switch)
+            state, log = _maybe_switch(scene, state, log, down, QUASISTATIC, state.h)
+        if solver.has(EXPLICIT):
+            brief = inertial & rejected & (state.h < BREAK_EVEN * limit)
+            state, log = _maybe_switch(scene, state, log, brief, EXPLICIT, h_explicit)
+    elif solver.has(EXPLICIT):
+        up = asked | (rejected & short)
+        state, log = _maybe_switch(scene, state, log, up, EXPLICIT, h_explicit)
+    lost = rejected & (state.stage != EXPLICIT) & (state.h < SMALLEST_STEP * jnp.maximum(state.t, 1.0))
+    return _with_result(state, lost, RESULTS.collapsed), log
+
+
+def _inertial_time(scene: Scene) -> Array:
+    """Time m/b_iso in s within which inertia outweighs drag; infinite without drag."""
+    if scene.drag is None:
+        return jnp.asarray(jnp.inf)
+    return jnp.mean(scene.mass) / jnp.mean(scene.drag.coefficient)
+
+
+def _count(counters: Counters, stage, accepted, cause, newton=0, linear=0, factors=0) -> Counters:
     accepted = jnp.asarray(accepted, int)
-    step = {QUASISTATIC: "quasistatic", DYNAMIC: "dynamic"}[stage]
-    rejected = counters.rejected.at[jnp.maximum(cause, 0)].add(1 - accepted)
-    counters = eqx.tree_at(
-        lambda c: (c.rejected, c.newton, c.linear),
-        counters,
-        (rejected, counters.newton + newton, counters.linear + linear),
+    return Counters(
+        counters.steps.at[stage].add(accepted),
+        counters.rejected.at[jnp.maximum(cause, 0)].add(1 - accepted),
+        counters.newton + newton,
+        counters.linear + linear,
+        counters.factors + factors,
+        counters.switches,
     )
-    return eqx.tree_at(lambda c: getattr(c, step), counters, getattr(counters, step) + accepted)
 
 
 def _maybe_switch(scene: Scene, state: State, log: Log, wanted, stage: int, h) -> tuple[State, Log]:
@@ -238,15 +231,18 @@ def _maybe_switch(scene: Scene, state: State, log: Log, wanted, stage: int, h) -
 
 
 def _switched(state: State, stage: int, h: Array) -> State:
-    """The state at the start of a stage; the quasistatic one starts a new history."""
+    """The state at the start of a stage. Implicit stages share their history; an explicit one ends it."""
+    old = state.stage
     state = eqx.tree_at(
         lambda s: (s.stage, s.monitor, s.counters.switches),
         state,
         (jnp.asarray(stage), fresh_monitor(state.monitor), state.counters.switches + 1),
     )
-    if stage == DYNAMIC:
+    if stage == EXPLICIT:
         return eqx.tree_at(lambda s: s.h_explicit, state, h)
-    history = restart_history(state.x, state.p)
+    # Steps with inertia are of order 2: their points bear no more to begin with.
+    kept = eqx.tree_at(lambda y: y.order, state.history, jnp.minimum(state.history.order, 2))
+    history = _select(old == EXPLICIT, restart_history(state.x, state.v, state.p), kept)
     return eqx.tree_at(lambda s: (s.h, s.history), state, (h, history))
 
 
@@ -254,24 +250,24 @@ def _with_result(state: State, failed: Array, result: Any) -> State:
     return eqx.tree_at(lambda s: s.result, state, RESULTS.where(failed, result, state.result))
 
 
-def _dynamic_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid) -> _Carry:
-    """Run the dynamic stage for as long as it lasts."""
+def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid) -> _Carry:
+    """Run the explicit stage for as long as it lasts."""
     cap = solver.explicit.safety * explicit.stability_limit(scene, carry.state.x)
     stages = explicit.first_stages(scene, carry.state)
 
     def unfinished(loop) -> Array:
         carry, *_ = loop
-        return _going(carry) & (carry.state.stage == DYNAMIC)
+        return _going(carry) & (carry.state.stage == EXPLICIT)
 
     def body(loop):
         carry, stages, fresh = loop
-        carry, stages, accepted = _dynamic_step(scene, carry, t_stop, solver, cap, stages, fresh)
+        carry, stages, accepted = _explicit_step(scene, carry, t_stop, solver, cap, stages, fresh)
         return carry, stages, fresh & ~accepted
 
     return jax.lax.while_loop(unfinished, body, (carry, stages, jnp.asarray(True)))[0]
 
 
-def _dynamic_step(scene: Scene, carry: _Carry, t_stop, solver: Hybrid, cap, stages, fresh):
+def _explicit_step(scene: Scene, carry: _Carry, t_stop, solver: Hybrid, cap, stages, fresh):
     state = carry.state
     started = state.h_explicit > 0
     wanted = jnp.minimum(jnp.where(started, jnp.minimum(state.h_explicit, cap), cap), solver.max_step)
@@ -293,15 +289,19 @@ def _dynamic_step(scene: Scene, carry: _Carry, t_stop, solver: Hybrid, cap, stag
     moved = _select(tried.accepted, moved, state)
     next_h = jnp.where(tried.accepted & (h < wanted), jnp.maximum(tried.next_h, wanted), tried.next_h)
     moved = eqx.tree_at(lambda s: s.h_explicit, moved, next_h)
-    counters = _count(state.counters, DYNAMIC, tried.accepted, tried.cause, 0, 0)
+    counters = _count(state.counters, EXPLICIT, tried.accepted, tried.cause)
     moved = eqx.tree_at(lambda s: s.counters, moved, counters)
     lost = ~tried.accepted & (next_h < SMALLEST_STEP * jnp.maximum(state.t, 1.0))
     moved = _with_result(moved, lost, RESULTS.collapsed)
-    sampled = tried.accepted & (counters.dynamic % DYNAMIC_LOG_EVERY == 0)
+    sampled = tried.accepted & (counters.steps[EXPLICIT] % EXPLICIT_LOG_EVERY == 0)
     log = jax.lax.cond(
         sampled, lambda: append(carry.log, _row(scene, moved, STEP, h, 4, tried.error)), lambda: carry.log
     )
-    asked = tried.accepted & wants_switch(moved.monitor, moved.stage, solver.switch)
-    moved, log = _maybe_switch(scene, moved, log, asked, QUASISTATIC, solver.restart_steps * cap)
+    if solver.has(IMPLICIT):
+        over = tried.accepted & (moved.monitor.since > SPELL * cap)
+        moved, log = _maybe_switch(scene, moved, log, over, IMPLICIT, BREAK_EVEN * cap)
+    elif solver.has(QUASISTATIC):
+        asked = tried.accepted & has_settled(moved.monitor, solver.switch)
+        moved, log = _maybe_switch(scene, moved, log, asked, QUASISTATIC, solver.restart_steps * cap)
     done = tried.accepted & lands
-    return _Carry(moved, log, carry.factor, carry.spent + DYNAMIC_COST, done), stages, tried.accepted
+    return _Carry(moved, log, carry.factor, carry.spent + EXPLICIT_COST, done), stages, tried.accepted

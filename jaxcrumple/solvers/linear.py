@@ -1,13 +1,15 @@
 """Linear solvers for the symmetric tangent, behind one interface usable inside jit.
 
 A solver is a set of options. `start` prepares a workspace for one pattern, `factor` renews it for
-new values and counts the negative eigenvalues when it can (-1: not known), `solve` applies it.
+new values and counts the negative eigenvalues when it can (-1: not known), `solve` uses it on these
+values or on others near them.
 """
 
 import abc
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -31,7 +33,9 @@ class Solution(NamedTuple):
 
 
 class AbstractLinearSolver(eqx.Module):
-    """Contract of a linear solver."""
+    """Contract of a linear solver. `exact` says that one application of a factor solves its system."""
+
+    exact: eqx.AbstractClassVar[bool]
 
     @abc.abstractmethod
     def start(self, pattern: Pattern) -> Factor:
@@ -42,8 +46,25 @@ class AbstractLinearSolver(eqx.Module):
         """Prepare new `values`."""
 
     @abc.abstractmethod
-    def solve(self, pattern: Pattern, factor: Factor, rhs: Array) -> Solution:
-        """Solve A x = `rhs` (3n,)."""
+    def solve(self, pattern: Pattern, factor: Factor, values: Array, rhs: Array, rtol: Array) -> Solution:
+        """Solve A x = `rhs` (3n,), A being `values`, until the residual is `rtol` of it; the factor may
+        be that of older values."""
+
+
+def linear_solve(
+    solver: AbstractLinearSolver, pattern: Pattern, values: Array, rhs: Array, rtol: float = 1e-10
+) -> Array:
+    """Solution (3n,) of A x = `rhs`, differentiable with respect to `values` (nnz,) and `rhs`.
+
+    The derivatives, forward and reverse, follow from the implicit function theorem, dA x + A dx = db,
+    and are solved with the same factor to the same `rtol`.
+    """
+    factor = solver.factor(pattern, jax.lax.stop_gradient(values), solver.start(pattern))
+
+    def solve(_, b: Array) -> Array:
+        return solver.solve(pattern, factor, factor.values, b, rtol).x
+
+    return jax.lax.custom_linear_solve(lambda x: pattern.product(values, x), rhs, solve, symmetric=True)
 
 
 def identity_values(pattern: Pattern) -> Array:

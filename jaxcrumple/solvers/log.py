@@ -28,8 +28,10 @@ class Row(NamedTuple):
     error: Array | float
     newton_iterations: Array
     linear_iterations: Array
+    factors: Array
     quasistatic_steps: Array
-    dynamic_steps: Array
+    implicit_steps: Array
+    explicit_steps: Array
     rejected_steps: Array
 
 

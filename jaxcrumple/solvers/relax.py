@@ -16,6 +16,8 @@ from jaxcrumple.system import State, elastic_tangent, force, potential_energy, r
 # the largest spring frequency squared, shrinks after a success and grows after a failure.
 SHIFT_START, SHIFT_FLOOR = 1e-4, 1e-16
 SHRINK, GROW = 0.2, 6.0
+# Relative residual of the linear systems.
+FORCING = 1e-6
 # Shift at which the eigenvalues of the stiffness are counted, in the same units.
 PROBE_SHIFT = 1e-12
 
@@ -82,7 +84,7 @@ def _relax(scene: Scene, state: State, tolerance: Array, linear, max_iterations:
     def body(carry: _Carry) -> _Carry:
         values = elastic_tangent(scene, carry.x, state.p, state.t, carry.shift)
         factor = linear.factor(scene.pattern, values, carry.factor)
-        solution = linear.solve(scene.pattern, factor, carry.force.reshape(-1))
+        solution = linear.solve(scene.pattern, factor, values, carry.force.reshape(-1), FORCING)
         x = carry.x + solution.x.reshape(carry.x.shape)
         new_force, new_energy = _free_force(scene, state, x), energy(x)
         lower = new_energy < carry.energy
@@ -112,7 +114,7 @@ def _relax(scene: Scene, state: State, tolerance: Array, linear, max_iterations:
     rested = eqx.tree_at(
         lambda s: (s.x, s.v, s.history),
         state,
-        (end.x, jnp.zeros_like(end.x), restart_history(end.x, state.p)),
+        (end.x, jnp.zeros_like(end.x), restart_history(end.x, jnp.zeros_like(end.x), state.p)),
     )
     left = size(end.force)
     # The iteration's own matrices are shifted until they are definite: judge the bare one. A trace

@@ -1,0 +1,100 @@
+"""How to integrate: which stages a scheme has, and the options of each."""
+
+from functools import partial
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+
+from jaxcrumple.solvers.choice import choose_linear_solver
+from jaxcrumple.solvers.explicit import Explicit
+from jaxcrumple.solvers.implicit import AbstractImplicit
+from jaxcrumple.solvers.linear import AbstractLinearSolver
+from jaxcrumple.solvers.pair import BDFPair
+from jaxcrumple.solvers.switch import Switch
+from jaxcrumple.solvers.variable_order import VariableOrder
+from jaxcrumple.system import EXPLICIT, IMPLICIT, QUASISTATIC
+
+SCHEMES = ("hybrid", "paper", "dynamic", "quasistatic", "explicit")
+# Each scheme's own switch; the paper's thresholds are its own.
+SWITCHES = dict.fromkeys(SCHEMES, Switch) | {"paper": partial(Switch, up=1e-3, down=1e-6, dwell=0.0)}
+
+
+class Hybrid(eqx.Module):
+    """Stages and their options.
+
+    - `stages`: those the scheme may use, in the order in which it prefers them.
+    - `implicit`, `explicit`: their steps; None where no stage needs them.
+    - `switch`: when to change the stage.
+    - `first_step`: first implicit step of a run in s.
+    - `restart_steps`: first implicit step after an explicit stage, in explicit stability limits.
+    - `max_step`: largest step in s.
+    """
+
+    stages: tuple[int, ...] = eqx.field(static=True)
+    implicit: AbstractImplicit | None
+    explicit: Explicit | None
+    switch: Switch
+    first_step: Array = eqx.field(default=1e-4, converter=jnp.asarray)
+    restart_steps: Array = eqx.field(default=10.0, converter=jnp.asarray)
+    max_step: Array | float = eqx.field(default=jnp.inf, converter=jnp.asarray)
+
+    def has(self, stage: int) -> bool:
+        """Whether the scheme may use a stage."""
+        return stage in self.stages
+
+
+def hybrid(
+    rtol: float = 1e-4,
+    *,
+    scheme: str = "hybrid",
+    linear: str | AbstractLinearSolver | None = None,
+    switch: Switch | None = None,
+    max_order: int = 5,
+    rho_infinity: float = 0.0,
+    max_step: Array | float = jnp.inf,
+) -> Hybrid:
+    """An integrator at relative tolerance `rtol`, with steps of `max_step` s at most.
+
+    **Arguments:**
+
+    - `scheme`: "hybrid" (quasistatic, with inertia when accelerations call for it), "paper" (the
+      paper's: BDF pair, explicit snaps, its thresholds and its preconditioner), "dynamic" (implicit
+      with inertia throughout: the reference), "quasistatic" (never inertia), "explicit" (throughout).
+    - `linear`: a linear solver or its name; by default "auto", and "block-cg" in the paper's scheme.
+    - `max_order`: largest order of the quasistatic stage, 1 to 5.
+    - `rho_infinity`: high-frequency dissipation of implicit steps with inertia: the share of a mode of
+      infinite frequency that a step leaves, from 0 to 1.
+
+    **Raises:** ValueError for a tolerance outside (0, 0.1), a step limit that is not positive, an
+    unknown scheme or linear solver, an order or a dissipation out of range.
+    """
+    if not 0 < rtol < 0.1:
+        raise ValueError(f"rtol = {rtol!r} must lie between 0 and 0.1; 1e-4 is a good start.")
+    if not max_step > 0:
+        raise ValueError(f"max_step = {max_step!r} s must be positive; leave it out for no limit.")
+    if max_order not in (1, 2, 3, 4, 5):
+        raise ValueError(f"max_order = {max_order!r} must be 1, 2, 3, 4 or 5.")
+    if not 0 <= rho_infinity <= 1:
+        raise ValueError(f"rho_infinity = {rho_infinity!r} must lie between 0 and 1.")
+    if scheme not in SCHEMES:
+        raise ValueError(f"scheme {scheme!r} is unknown; choose one of {', '.join(SCHEMES)}.")
+    if linear is None:
+        linear = "block-cg" if scheme == "paper" else "auto"
+    solver = choose_linear_solver(linear) if isinstance(linear, str) else linear
+    tolerance, rho = jnp.asarray(float(rtol)), float(rho_infinity)
+    explicit, switch = Explicit(tolerance), switch or SWITCHES[scheme]()
+    if scheme == "paper":
+        return Hybrid(
+            (QUASISTATIC, EXPLICIT), BDFPair(tolerance, solver), explicit, switch, max_step=max_step
+        )
+    if scheme == "explicit":
+        return Hybrid((EXPLICIT,), None, explicit, switch, max_step=max_step)
+    inertia = scheme != "quasistatic"
+    steps = VariableOrder(tolerance, solver, rho, inertia=inertia, max_order=max_order)
+    stages = {
+        "hybrid": (QUASISTATIC, IMPLICIT),
+        "dynamic": (IMPLICIT,),
+        "quasistatic": (QUASISTATIC,),
+    }[scheme]
+    return Hybrid(stages, steps, explicit if EXPLICIT in stages else None, switch, max_step=max_step)

@@ -1,0 +1,174 @@
+"""The implicit stages by one solve a step: BDF of order 1 to 5, and a two-step formula with inertia."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxcrumple.model.geometry import curvature
+from jaxcrumple.model.scene import Scene
+from jaxcrumple.solvers.bdf import coefficients, error_constant, extrapolation, two_step
+from jaxcrumple.solvers.implicit import (
+    LOCAL_SHARE,
+    AbstractImplicit,
+    Attempt,
+    aligns,
+    judge,
+    resized,
+)
+from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
+from jaxcrumple.solvers.newton import FORCING, newton
+from jaxcrumple.system import CAUSES, IMPLICIT, ImplicitStep, State, implicit_step, residual
+
+# A change of order must promise a step longer by this factor.
+ORDER_GAIN = 1.1
+
+
+class VariableOrder(AbstractImplicit):
+    """Predictor, corrector and their difference as the error estimate.
+
+    Quasistatic steps use BDF of the order, 1 to `max_order`, that promises the longest step; steps
+    with inertia use the two-step family of `two_step`.
+
+    - `rtol`: tolerance on the local error in maximum norm: positions over $\\sqrt A$, p over 2.
+    - `linear`: the linear solver.
+    - `rho_infinity`: what a step with inertia leaves of a mode of infinite frequency, 0 (BDF2) to 1
+      (the midpoint rule, which leaves all).
+    - `newton_share`: Newton's error as a share of what a step may leave.
+    - `max_iterations`: Newton iterations before a step is rejected.
+    - `inertia`: whether any stage has inertia; without it nothing is compiled for it.
+    """
+
+    rtol: Array
+    linear: AbstractLinearSolver
+    rho_infinity: Array = eqx.field(default=0.0, converter=jnp.asarray)
+    newton_share: Array = eqx.field(default=0.05, converter=jnp.asarray)
+    inertia: bool = eqx.field(static=True, default=True)
+    max_order: int = eqx.field(static=True, default=5)
+    max_iterations: int = eqx.field(static=True, default=8)
+
+    def attempt(self, scene: Scene, state: State, h: Array, factor: Factor) -> Attempt:
+        """Try a step of size `h` s in the state's stage."""
+        formula = self._formula(scene, state, h)
+        predicted = _predicted(scene, state, h, formula.order)
+        theta, step = formula.theta, formula.step
+        guess = theta * predicted + (1.0 - theta) * state.x
+        tolerance = self.newton_share * LOCAL_SHARE * self.rtol * scene.length_scale
+        solution = newton(scene, step, guess, self.linear, factor, tolerance, self.max_iterations)
+        mean_v = step.velocity(solution.x)
+        _, mean_p = residual(scene, step, solution.x)
+        x, v = _whole(theta, solution.x, state.x), _whole(theta, mean_v, state.v)
+        p = None if mean_p is None else _whole(theta, mean_p, state.p)
+        change = self._filtered(scene, state, step, x - predicted, solution.factor)
+        errors = self._errors(scene, state, h, formula, x, p, change)
+        cause = judge(scene, state, solution, x, errors[1])
+        next_h, next_order = self._next(state, h, formula.order, errors, cause)
+        acceleration = jnp.where(state.stage == IMPLICIT, step.acceleration(mean_v), (v - state.v) / h)
+        return Attempt(
+            x, v, p, acceleration, errors[1], cause, formula.order, next_h, next_order,
+            solution.factor, solution.iterations, solution.linear, solution.factors,
+        )  # fmt: skip
+
+    def _formula(self, scene: Scene, state: State, h: Array) -> "_Formula":
+        history = state.history
+        quasistatic_order = jnp.clip(history.order, 1, self.max_order)
+        alpha, beta_h = coefficients(h, history.steps, quasistatic_order)
+        share = error_constant(h, history.steps, quasistatic_order)
+        if not self.inertia:
+            step = implicit_step(scene, history, alpha, beta_h, state.t + h)
+            return _Formula(step, jnp.ones(()), quasistatic_order, share)
+        moves = state.stage == IMPLICIT
+        theta = jnp.where(moves, 1.0 / (1.0 + self.rho_infinity), 1.0)
+        # The two-step formula needs a third point for its error estimate, and the velocity at the second.
+        order = jnp.where(history.count > 2, 2, 1)
+        two = two_step(h, history.steps, order, theta)
+        alpha, beta_h = jnp.where(moves, two.alpha, alpha), jnp.where(moves, two.beta_h, beta_h)
+        t = state.t + theta * h
+        step = implicit_step(scene, history, alpha, beta_h, t, jnp.where(moves, 1.0, 0.0))
+        return _Formula(
+            step, theta, jnp.where(moves, order, quasistatic_order), jnp.where(moves, two.error, share)
+        )
+
+    def _filtered(self, scene: Scene, state: State, step: ImplicitStep, change: Array, factor) -> Array:
+        """Corrector minus predictor; of a first quasistatic step what the formula does not damp.
+
+        Its predictor is an explicit Euler step, which overshoots what decays within the step; the
+        tangent filters that out.
+        """
+        if scene.drag is None:
+            return change
+        pull = (scene.drag.coefficient / step.beta_h)[:, None] * change
+        first = (state.stage != IMPLICIT) & (state.history.count == 1)
+
+        def solve() -> Array:
+            solution = self.linear.solve(scene.pattern, factor, factor.values, pull.reshape(-1), FORCING)
+            return solution.x.reshape(change.shape)
+
+        return jax.lax.cond(first, solve, lambda: change)
+
+    def _errors(self, scene: Scene, state: State, h, formula: "_Formula", x, p, change) -> Array:
+        """Local errors (3,) of the orders below, at and above the step's, in units of the tolerance."""
+        history, order = state.history, formula.order
+        starts = history.count <= 1
+        here = _size(scene, change, None)
+        if p is not None:
+            gap = p - extrapolation(h, history.steps, order + 1) @ history.p
+            flow = scene.plasticity.rate(curvature(scene.bending.hinges(state.x).theta), state.p)
+            gap = jnp.where(starts, p - state.p - h * flow, gap)
+            here = jnp.maximum(here, 0.5 * jnp.max(jnp.abs(gap)))
+        # A start compares with an Euler step, whose error is the formula's reversed; the step that
+        # aligns the velocity has nothing to compare with, and may move by the whole tolerance.
+        share = jnp.where(starts, 0.5, formula.share)
+        free = aligns(state) | (state.stage == IMPLICIT)
+        allowed = jnp.where(free, 1.0, LOCAL_SHARE) * self.rtol
+        errors = [jnp.asarray(jnp.inf), share * here / allowed, jnp.asarray(jnp.inf)]
+        for place, other in ((0, order - 1), (2, order + 1)):
+            known = (other >= 1) & (other < history.count) & (other <= self.max_order)
+            known = known & (state.stage != IMPLICIT)
+            used = jnp.clip(other, 1, self.max_order)
+            weights = extrapolation(h, history.steps, used + 1)
+            gap = x - jnp.tensordot(weights, history.x, 1)
+            p_gap = None if p is None else p - weights @ history.p
+            size = error_constant(h, history.steps, used) * _size(scene, gap, p_gap)
+            errors[place] = jnp.where(known, size / allowed, jnp.inf)
+        return jnp.stack(errors)
+
+    def _next(self, state: State, h, order, errors, cause) -> tuple[Array, Array]:
+        """Step and order to take next: those that promise the longest step."""
+        orders = order + jnp.arange(-1, 2)
+        reach = jnp.maximum(errors, 1e-10) ** (-1.0 / (orders + 1))
+        best = jnp.argmax(reach * jnp.asarray([1.0, ORDER_GAIN, 1.0]))
+        best = jnp.where((cause < 0) | (cause == CAUSES.index("error")), best, 1)
+        # Without a second point there is no estimate for another order.
+        next_order = jnp.where(state.stage == IMPLICIT, state.history.order, orders[best])
+        return resized(h, orders[best], errors[best], cause), next_order
+
+
+class _Formula(NamedTuple):
+    """A step's equations, its theta, its order, and the error's share of corrector - predictor."""
+
+    step: ImplicitStep
+    theta: Array
+    order: Array
+    share: Array
+
+
+def _predicted(scene: Scene, state: State, h: Array, order: Array) -> Array:
+    """Positions (n, 3) from the history alone, or by the velocity when there is one point only."""
+    history = state.history
+    predicted = jnp.tensordot(extrapolation(h, history.steps, order + 1), history.x, 1)
+    euler = state.x + jnp.where(aligns(state), 0.0, h) * state.v
+    predicted = jnp.where(history.count <= 1, euler, predicted)
+    return predicted if scene.prescribed is None else scene.prescribed.position(predicted, state.t + h)
+
+
+def _whole(theta: Array, mean: Array, old: Array) -> Array:
+    """New value from the weighted mean of new and old."""
+    return old + (mean - old) / theta
+
+
+def _size(scene: Scene, x: Array, p: Array | None) -> Array:
+    size = jnp.max(jnp.abs(x)) / scene.length_scale
+    return size if p is None else jnp.maximum(size, 0.5 * jnp.max(jnp.abs(p)))
