@@ -37,6 +37,9 @@ LOG_CAPACITY = BUDGET // IMPLICIT_COST + BUDGET // EXPLICIT_LOG_EVERY + 64
 # A quasistatic step below this share of the explicit stability limit hands over: to integrate the
 # motion is cheaper then. Not 1, because a start at low order may need a few steps that short.
 COLLAPSE = 0.05
+# An equilibrium that even steps of this share of m/b_iso cannot follow is lost: inertia takes over. Larger
+# values hand over earlier than the accelerations ask for, and the answer then differs by more than rtol.
+LOST = 0.02
 # An implicit step costs as much as this many explicit ones; one that is not longer gives way to them.
 BREAK_EVEN = 30
 # Explicit steps, in stability limits, before the implicit stage is tried again.
@@ -183,8 +186,7 @@ def _change_stage(scene: Scene, state: State, log: Log, tried: Attempt, solver: 
     asked = quasistatic & tried.accepted & wants_inertia(state.monitor, solver.switch)
     h_explicit = solver.explicit.safety * limit if solver.explicit is not None else limit
     if solver.has(IMPLICIT):
-        # Inertia holds an equilibrium that is lost only in steps shorter than its own time.
-        lost = rejected & (tried.cause != CAUSES.index("error")) & (state.h < _inertial_time(scene))
+        lost = rejected & (tried.cause != CAUSES.index("error")) & (state.h < LOST * _inertial_time(scene))
         up = quasistatic & (asked | lost | (rejected & short))
         if solver.has(QUASISTATIC):
             state, log = _maybe_switch(scene, state, log, up, IMPLICIT, state.h)

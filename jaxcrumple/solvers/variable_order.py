@@ -44,7 +44,7 @@ class VariableOrder(AbstractImplicit):
     rtol: Array
     linear: AbstractLinearSolver
     rho_infinity: Array = eqx.field(default=0.0, converter=jnp.asarray)
-    newton_share: Array = eqx.field(default=0.05, converter=jnp.asarray)
+    newton_share: Array = eqx.field(default=0.1, converter=jnp.asarray)
     inertia: bool = eqx.field(static=True, default=True)
     max_order: int = eqx.field(static=True, default=5)
     max_iterations: int = eqx.field(static=True, default=8)
