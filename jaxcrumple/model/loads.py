@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.typing import ArrayLike
 
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.stencil import upper_pairs
@@ -107,3 +108,20 @@ class ElementEnergy(eqx.Module):
         hessian = self._map(jax.hessian, x, t)
         pairs = upper_pairs(self.nodes.shape[1])
         return jnp.stack([jnp.moveaxis(hessian[:, a, :, b, :], 0, -1) for a, b in pairs])
+
+
+def dead_load(nodes: ArrayLike, force: ArrayLike, rise: float) -> ElementEnergy:
+    """Forces of fixed direction that grow linearly from zero at t = 0 and stay from t = `rise` s on.
+
+    **Arguments:** `nodes` (m,) node numbers; `force` (m, 3) their final forces in N; `rise` > 0.
+
+    **Returns:** the load as an energy, $-\\sum f(t) \\cdot x$, zero for nodes at the origin.
+    """
+    numbers = jnp.asarray(nodes)
+    parameters = (as_float(force), jnp.full(numbers.shape, float(rise)))
+    return ElementEnergy(numbers[:, None], _dead_energy, parameters)
+
+
+def _dead_energy(x: Array, parameters: tuple[Array, Array], t: Array) -> Array:
+    force, rise = parameters
+    return -jnp.clip(t / rise, 0.0, 1.0) * (force @ x[0])

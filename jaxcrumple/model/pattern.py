@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxcrumple.model.coarse import CoarseSpace, build_coarse_space
 from jaxcrumple.model.stencil import upper_pairs
 
 
@@ -21,6 +22,9 @@ class Pattern(eqx.Module):
     - `node_entries` (n, 3, 3): entry of each element of the nodes' own blocks.
     - `element_entries`: one (pairs * 9 * m,) map per stencil, `nnz` where an element falls below the
       diagonal and is dropped.
+    - `neighbors` (n, k): block columns of each node's row, both triangles, padded with the node itself.
+    - `row_entries` (n, 3, 3k): entry of each element of these blocks, `nnz` where there is none.
+    - `coarse`: a smooth coarse space over the nodes, for two-level solvers.
     """
 
     indptr: Array
@@ -29,6 +33,9 @@ class Pattern(eqx.Module):
     diagonal: Array
     node_entries: Array
     element_entries: tuple[Array, ...]
+    neighbors: Array
+    row_entries: Array
+    coarse: CoarseSpace
 
     @property
     def nnz(self) -> int:
@@ -49,9 +56,22 @@ class Pattern(eqx.Module):
         strict = jnp.where(self.rows == self.indices, 0.0, values)
         return upper.at[self.indices].add(strict * x[self.rows])
 
+    def expand(self, values: Array) -> Array:
+        """Rows of 3x3 blocks (n, 3, 3k), both triangles: the form for repeated products."""
+        return values.at[self.row_entries].get(mode="fill", fill_value=0.0)
 
-def build_pattern(n: int, stencils: Sequence[np.ndarray]) -> Pattern:
-    """Pattern of a tangent whose elements couple the nodes of each row of `stencils` (m, k)."""
+    def expanded_product(self, rows: Array, x: Array) -> Array:
+        """Matrix in the form of `expand` times vector (3n,)."""
+        gathered = x.reshape(-1, 3)[self.neighbors].reshape(rows.shape[0], -1)
+        return jnp.einsum("nas,ns->na", rows, gathered).reshape(-1)
+
+
+def build_pattern(rest: np.ndarray, stencils: Sequence[np.ndarray]) -> Pattern:
+    """Pattern of a tangent whose elements couple the nodes of each row of `stencils` (m, k).
+
+    `rest` (n, 3): the nodes' rest positions in m, over which the coarse space is laid.
+    """
+    n = len(rest)
     pairs = [_global_pairs(stencil) for stencil in stencils]
     own = np.stack([np.arange(n)] * 2, axis=1)
     rows, cols = np.concatenate([own, *(p.reshape(-1, 2) for p in pairs)]).T
@@ -73,12 +93,15 @@ def build_pattern(n: int, stencils: Sequence[np.ndarray]) -> Pattern:
     maps = [_element_map(locate, p) for p in pairs]
     diagonal = node_entries[:, np.arange(3), np.arange(3)].reshape(-1)
 
+    neighbors, row_entries = _rows(n, block_row, block_col, entries)
+
     def device(a: np.ndarray) -> Array:
         return jnp.asarray(a.astype(np.int32))
 
     return Pattern(
         device(indptr), device(indices), device(order), device(diagonal), device(node_entries),
-        tuple(device(m) for m in maps),
+        tuple(device(m) for m in maps), device(neighbors), device(row_entries),
+        build_coarse_space(rest, np.stack([block_row, block_col], axis=1)),
     )  # fmt: skip
 
 
@@ -108,6 +131,28 @@ def _column_indices(entries: np.ndarray, block_col: np.ndarray, nnz: int) -> np.
     indices = np.empty(nnz + 1, dtype=np.int64)
     indices[entries.reshape(-1)] = columns.reshape(-1)
     return indices[:-1]
+
+
+def _rows(
+    n: int, block_row: np.ndarray, block_col: np.ndarray, entries: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """`neighbors` and `row_entries` of a `Pattern` from its upper blocks."""
+    off = block_row != block_col
+    row = np.concatenate([block_row, block_col[off]])
+    col = np.concatenate([block_col, block_row[off]])
+    blocks = np.concatenate([entries, np.swapaxes(entries[off], 1, 2)])
+    # Below the diagonal a diagonal block repeats what is above it.
+    own = np.flatnonzero(~off)
+    blocks[own] = np.minimum(blocks[own], np.swapaxes(blocks[own], 1, 2))
+    order = np.lexsort((col, row))
+    row, col, blocks = row[order], col[order], blocks[order]
+    counts = np.bincount(row, minlength=n)
+    rank = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
+    neighbors = np.repeat(np.arange(n)[:, None], counts.max(), axis=1)
+    neighbors[row, rank] = col
+    row_entries = np.full((n, counts.max(), 3, 3), entries.max())
+    row_entries[row, rank] = blocks
+    return neighbors, np.moveaxis(row_entries, 2, 1).reshape(n, 3, -1)
 
 
 def _element_map(locate, pairs: np.ndarray) -> np.ndarray:

@@ -124,7 +124,7 @@ def sheet(
         gravity=None if gravity is None else Gravity(jnp.asarray(gravity, float), mass),
         prescribed=prescribed,
         extra=tuple(extra),
-        pattern=build_pattern(mesh.n_nodes, stencils),
+        pattern=build_pattern(mesh.vertices, stencils),
     )
 
 

@@ -1,6 +1,9 @@
-"""The paper's experiments, by name."""
+"""Scenes by name: the paper's experiments, and two that snap through."""
 
+from jaxcrumple.scenes.arch import arch
+from jaxcrumple.scenes.cap import cap
 from jaxcrumple.scenes.catalogue import SCENES, SceneEntry
 from jaxcrumple.scenes.radial import Setup, radial
+from jaxcrumple.scenes.snap import Drop, energy_drop, relaxed_drop
 
-__all__ = ["SCENES", "SceneEntry", "Setup", "radial"]
+__all__ = ["SCENES", "Drop", "SceneEntry", "Setup", "arch", "cap", "energy_drop", "radial", "relaxed_drop"]

@@ -5,6 +5,8 @@ from typing import Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from jaxcrumple.scenes.arch import arch
+from jaxcrumple.scenes.cap import cap
 from jaxcrumple.scenes.radial import Setup, radial
 
 
@@ -30,11 +32,48 @@ class RadialOptions(BaseModel):
     damping: Literal["central", "paper"] = "central"
 
 
+class SnapOptions(BaseModel):
+    """Options that `arch` and `cap` share; load in N, its time of growth `ramp` in s."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    ramp: float = Field(0.03, gt=0)
+    plastic: bool = False
+    damping: Literal["central", "paper"] = "central"
+
+
+class ArchOptions(SnapOptions):
+    """Options of `arch`; lengths in m."""
+
+    length: float = Field(0.03, gt=0)
+    width: float = Field(0.006, gt=0)
+    rise: float = Field(0.002, gt=0)
+    load: float = Field(0.2, gt=0)
+    imperfection: float = Field(25e-6, ge=0)
+
+
+class CapOptions(SnapOptions):
+    """Options of `cap`; lengths in m."""
+
+    radius: float = Field(0.025, gt=0)
+    rise: float = Field(0.001, gt=0)
+    load: float = Field(0.3, gt=0)
+    patch: float = Field(0.01, gt=0)
+    offset: float = 0.25e-3
+    sweeps: int = Field(100, ge=0)
+
+
 SCENES: dict[str, SceneEntry] = {
     "radial": SceneEntry(
         radial,
         RadialOptions,
         2.6,
         "square sheet in a sphere that shrinks from 7.1 cm at 1 cm/s (Figs. 5, 6, 8)",
-    )
+    ),
+    "arch": SceneEntry(
+        arch, ArchOptions, 0.05, "clamped shallow arch that snaps through under a load at midspan"
+    ),
+    "cap": SceneEntry(
+        cap, CapOptions, 0.05, "shallow spherical cap, pinned at its rim, that a load turns inside out"
+    ),
 }

@@ -31,42 +31,53 @@ class BlockCG(AbstractLinearSolver):
     def start(self, pattern: Pattern) -> Factor:
         """Blocks of the identity."""
         values = identity_values(pattern)
-        return Factor(values, self._inverse_blocks(pattern, values)[0], jnp.asarray(0))
+        return Factor(values, inverse_blocks(pattern, values, self.block_size)[0], jnp.asarray(0))
 
     def factor(self, pattern: Pattern, values: Array, previous: Factor) -> Factor:
         """Invert the diagonal blocks; one that is not positive definite proves the matrix indefinite."""
-        inverse, sound = self._inverse_blocks(pattern, values)
+        inverse, sound = inverse_blocks(pattern, values, self.block_size)
         return Factor(values, inverse, jnp.where(sound, -1, 1))
 
-    def _inverse_blocks(self, pattern: Pattern, values: Array) -> tuple[Array, Array]:
-        size, total = self.block_size, pattern.diagonal.shape[0]
-        count = -(-total // size)
-        row, col = pattern.rows, pattern.indices
-        block = row // size
-        inside = block == col // size
-        # Entries outside the blocks are sent out of bounds and dropped.
-        flat = jnp.where(inside, (block * size + row % size) * size + col % size, count * size * size)
-        upper = jnp.zeros(count * size * size).at[flat].set(values, mode="drop")
-        upper = upper.reshape(count, size, size)
-        tail = jnp.arange(count * size).reshape(count, size) >= total
-        dense = upper + jnp.swapaxes(jnp.triu(upper, 1), 1, 2) + jax.vmap(jnp.diag)(tail.astype(float))
-        factors = jnp.linalg.cholesky(dense)
-        sound = jnp.all(jnp.isfinite(factors))
-        identity = jnp.eye(size)
-        inverse = jax.vmap(lambda c: jax.scipy.linalg.cho_solve((c, True), identity))(factors)
-        return jnp.where(sound, inverse, identity), sound
-
-    def solve(self, pattern: Pattern, factor: Factor, values: Array, rhs: Array, rtol: Array) -> Solution:
+    def solve(
+        self, pattern: Pattern, factor: Factor, values: Array, rhs: Array, rtol: Array | float
+    ) -> Solution:
         """Conjugate gradients; `indefinite` is set when a direction of negative curvature appears."""
-        total = rhs.shape[0]
-        count = factor.workspace.shape[0]
-
-        def precondition(r: Array) -> Array:
-            padded = jnp.zeros(count * self.block_size).at[:total].set(r)
-            blocks = padded.reshape(count, self.block_size)
-            return jnp.einsum("bij,bj->bi", factor.workspace, blocks).reshape(-1)[:total]
-
+        rows = pattern.expand(values)
         x, iterations, positive = conjugate_gradients(
-            lambda d: pattern.product(values, d), precondition, rhs, rtol, self.max_iterations
+            lambda d: pattern.expanded_product(rows, d),
+            lambda r: apply_blocks(factor.workspace, r),
+            rhs,
+            rtol,
+            self.max_iterations,
         )
         return Solution(x, iterations, ~positive | (factor.negative > 0))
+
+
+def inverse_blocks(pattern: Pattern, values: Array, size: int) -> tuple[Array, Array]:
+    """Inverses (b, size, size) of the dense diagonal blocks, and whether all are positive definite.
+
+    The last block is filled up with the identity; where one is not definite all are the identity.
+    """
+    total = pattern.diagonal.shape[0]
+    count = -(-total // size)
+    row, col = pattern.rows, pattern.indices
+    block = row // size
+    inside = block == col // size
+    # Entries outside the blocks are sent out of bounds and dropped.
+    flat = jnp.where(inside, (block * size + row % size) * size + col % size, count * size * size)
+    upper = jnp.zeros(count * size * size, values.dtype).at[flat].set(values, mode="drop")
+    upper = upper.reshape(count, size, size)
+    tail = jnp.arange(count * size).reshape(count, size) >= total
+    dense = upper + jnp.swapaxes(jnp.triu(upper, 1), 1, 2) + jax.vmap(jnp.diag)(tail.astype(values.dtype))
+    factors = jnp.linalg.cholesky(dense)
+    sound = jnp.all(jnp.isfinite(factors))
+    identity = jnp.eye(size)
+    inverse = jax.vmap(lambda c: jax.scipy.linalg.cho_solve((c, True), identity))(factors)
+    return jnp.where(sound, inverse, identity), sound
+
+
+def apply_blocks(blocks: Array, r: Array) -> Array:
+    """Block-diagonal matrix (b, m, m) times a vector, padded to fill the last block."""
+    count, size, _ = blocks.shape
+    padded = jnp.zeros(count * size, r.dtype).at[: r.shape[0]].set(r)
+    return jnp.einsum("bij,bj->bi", blocks, padded.reshape(count, size)).reshape(-1)[: r.shape[0]]

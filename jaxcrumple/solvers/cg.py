@@ -14,7 +14,7 @@ class _Carry(NamedTuple):
     d: Array
     rz: Array
     positive: Array
-    count: Array
+    iterations: Array
 
 
 def conjugate_gradients(
@@ -37,19 +37,19 @@ def conjugate_gradients(
     def body(carry: _Carry) -> _Carry:
         z = precondition(carry.r)
         rz = carry.r @ z
-        d = jnp.where(carry.count == 0, z, z + (rz / carry.rz) * carry.d)
+        d = jnp.where(carry.iterations == 0, z, z + (rz / carry.rz) * carry.d)
         image = product(d)
         bend = d @ image
         positive = (bend > 0) & (rz > 0)
         step = jnp.where(positive, rz / bend, 0.0)
-        return _Carry(carry.x + step * d, carry.r - step * image, d, rz, positive, carry.count + 1)
+        return _Carry(carry.x + step * d, carry.r - step * image, d, rz, positive, carry.iterations + 1)
 
     def unfinished(carry: _Carry) -> Array:
         far = jnp.linalg.norm(carry.r) > goal
-        return carry.positive & far & (carry.count < max_iterations)
+        return carry.positive & far & (carry.iterations < max_iterations)
 
     zero = jnp.zeros_like(rhs)
     init = _Carry(zero, rhs, zero, jnp.ones((), rhs.dtype), jnp.asarray(True), jnp.asarray(0))
     end = jax.lax.while_loop(unfinished, body, init)
     # The loop never starts on a right-hand side that is not finite: say so instead of zero.
-    return jnp.where(jnp.isfinite(goal), end.x, jnp.nan), end.count, end.positive
+    return jnp.where(jnp.isfinite(goal), end.x, jnp.nan), end.iterations, end.positive

@@ -46,7 +46,9 @@ class Direct(AbstractLinearSolver):
         negative = jnp.where(finite, report[22], 1).astype(int)
         return Factor(safe, token, negative)
 
-    def solve(self, pattern: Pattern, factor: Factor, values: Array, rhs: Array, rtol: Array) -> Solution:
+    def solve(
+        self, pattern: Pattern, factor: Factor, values: Array, rhs: Array, rtol: Array | float
+    ) -> Solution:
         """One back substitution if the factor is of these `values`; else conjugate gradients with it."""
         from pardiso_mkl_jax import primitive
 

@@ -109,10 +109,10 @@ def _clip_step(t: Array, h: Array, t_stop: Array) -> tuple[Array, Array]:
 def _row(scene: Scene, state: State, kind: int, h, order, error) -> Row:
     parts = energies(scene, state.x, state.v, state.p, state.t)
     monitor, count = state.monitor, state.counters
+    steps = (count.steps[QUASISTATIC], count.steps[IMPLICIT], count.steps[EXPLICIT])
     return Row(
         kind, state.t, state.stage, h, monitor.ratios[0], jnp.mean(monitor.ratios), *parts,
-        order, error, count.newton, count.linear, count.factors, *count.steps,
-        jnp.sum(count.rejected),
+        order, error, count.newton, count.linear, count.factors, *steps, jnp.sum(count.rejected),
     )  # fmt: skip
 
 
@@ -139,6 +139,7 @@ def _implicit_stages(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid)
 
 def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid, limit) -> _Carry:
     state = carry.state
+    assert solver.implicit is not None and carry.factor is not None
     wanted = jnp.minimum(state.h, solver.max_step)
     # The step that aligns the velocity with the forces is as short as an explicit one.
     aligning = aligns(state)
@@ -254,6 +255,7 @@ def _with_result(state: State, failed: Array, result: Any) -> State:
 
 def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid) -> _Carry:
     """Run the explicit stage for as long as it lasts."""
+    assert solver.explicit is not None
     cap = solver.explicit.safety * explicit.stability_limit(scene, carry.state.x)
     stages = explicit.first_stages(scene, carry.state)
 
@@ -271,6 +273,7 @@ def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid) 
 
 def _explicit_step(scene: Scene, carry: _Carry, t_stop, solver: Hybrid, cap, stages, fresh):
     state = carry.state
+    assert solver.explicit is not None
     started = state.h_explicit > 0
     wanted = jnp.minimum(jnp.where(started, jnp.minimum(state.h_explicit, cap), cap), solver.max_step)
     h, lands = _clip_step(state.t, wanted, t_stop)

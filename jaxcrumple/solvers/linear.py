@@ -46,7 +46,9 @@ class AbstractLinearSolver(eqx.Module):
         """Prepare new `values`."""
 
     @abc.abstractmethod
-    def solve(self, pattern: Pattern, factor: Factor, values: Array, rhs: Array, rtol: Array) -> Solution:
+    def solve(
+        self, pattern: Pattern, factor: Factor, values: Array, rhs: Array, rtol: Array | float
+    ) -> Solution:
         """Solve A x = `rhs` (3n,), A being `values`, until the residual is `rtol` of it; the factor may
         be that of older values."""
 

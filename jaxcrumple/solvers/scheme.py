@@ -82,7 +82,7 @@ def hybrid(
     if linear is None:
         linear = "block-cg" if scheme == "paper" else "auto"
     solver = choose_linear_solver(linear) if isinstance(linear, str) else linear
-    tolerance, rho = jnp.asarray(float(rtol)), float(rho_infinity)
+    tolerance, rho = jnp.asarray(float(rtol)), jnp.asarray(float(rho_infinity))
     explicit, switch = Explicit(tolerance), switch or SWITCHES[scheme]()
     if scheme == "paper":
         return Hybrid(

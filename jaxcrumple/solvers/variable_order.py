@@ -60,7 +60,7 @@ class VariableOrder(AbstractImplicit):
         mean_v = step.velocity(solution.x)
         _, mean_p = residual(scene, step, solution.x)
         x, v = _whole(theta, solution.x, state.x), _whole(theta, mean_v, state.v)
-        p = None if mean_p is None else _whole(theta, mean_p, state.p)
+        p = None if mean_p is None or state.p is None else _whole(theta, mean_p, state.p)
         change = self._filtered(scene, state, step, x - predicted, solution.factor)
         errors = self._errors(scene, state, h, formula, x, p, change)
         cause = judge(scene, state, solution, x, errors[1])
@@ -113,8 +113,8 @@ class VariableOrder(AbstractImplicit):
         history, order = state.history, formula.order
         starts = history.count <= 1
         here = _size(scene, change, None)
-        if p is not None:
-            gap = p - extrapolation(h, history.steps, order + 1) @ history.p
+        if p is not None and scene.plasticity is not None and state.p is not None:
+            gap = _gap(p, history.p, extrapolation(h, history.steps, order + 1))
             flow = scene.plasticity.rate(curvature(scene.bending.hinges(state.x).theta), state.p)
             gap = jnp.where(starts, p - state.p - h * flow, gap)
             here = jnp.maximum(here, 0.5 * jnp.max(jnp.abs(gap)))
@@ -129,9 +129,9 @@ class VariableOrder(AbstractImplicit):
             known = known & (state.stage != IMPLICIT)
             used = jnp.clip(other, 1, self.max_order)
             weights = extrapolation(h, history.steps, used + 1)
-            gap = x - jnp.tensordot(weights, history.x, 1)
-            p_gap = None if p is None else p - weights @ history.p
-            size = error_constant(h, history.steps, used) * _size(scene, gap, p_gap)
+            p_gap = None if p is None else _gap(p, history.p, weights)
+            size = _size(scene, _gap(x, history.x, weights), p_gap)
+            size = error_constant(h, history.steps, used) * size
             errors[place] = jnp.where(known, size / allowed, jnp.inf)
         return jnp.stack(errors)
 
@@ -167,6 +167,12 @@ def _predicted(scene: Scene, state: State, h: Array, order: Array) -> Array:
 def _whole(theta: Array, mean: Array, old: Array) -> Array:
     """New value from the weighted mean of new and old."""
     return old + (mean - old) / theta
+
+
+def _gap(new: Array, past: Array | None, weights: Array) -> Array:
+    """Difference of a new value from the one that `weights` (6,) predict from the past."""
+    assert past is not None
+    return new - jnp.tensordot(weights, past, 1)
 
 
 def _size(scene: Scene, x: Array, p: Array | None) -> Array:

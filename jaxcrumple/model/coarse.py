@@ -1,0 +1,107 @@
+"""A smooth coarse space on the reference sheet: tensor-product cubic B-splines over its nodes."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+# Functions that reach a cell along one direction, and those that reach it or a cell next to it.
+SUPPORT, WINDOW = 4, 6
+# Cells per direction: one per this many node distances, and no more than a dense factor can bear.
+NODES_PER_CELL, MOST_CELLS = 4.5, 16
+
+
+class CoarseSpace(eqx.Module):
+    """Cubic B-splines on a grid of square cells over the two longest directions of the rest shape.
+
+    Node i, in cell `cell[i]`, has SUPPORT weights along each direction. Neighbours in the mesh are
+    at most one cell apart, so a row of the tangent meets the WINDOW functions along each direction
+    only.
+
+    - `cell` (n, 2): a node's cell in the grid; `weights` (n, 2, 4).
+    - `members` (c, k): nodes of each occupied cell, padded with n; `place` (n,): a node's position in
+      the flattened members.
+    - `functions` (c, 16), `window` (c, 36): numbers of a cell's functions; what lies outside the grid
+      has the number `size`.
+    - `size`: number of functions.
+    """
+
+    cell: Array
+    weights: Array
+    members: Array
+    place: Array
+    functions: Array
+    window: Array
+    size: int = eqx.field(static=True)
+
+
+def build_coarse_space(rest: np.ndarray, pairs: np.ndarray) -> CoarseSpace:
+    """Coarse space for nodes at `rest` (n, 3) whose tangent couples the node `pairs` (m, 2).
+
+    A shell that folds over itself when seen along its shortest direction gets functions that tie its
+    layers together: the preconditioner stays valid and loses quality.
+    """
+    points = _longest_directions(np.asarray(rest, float))
+    reach = np.max(np.abs(points[pairs[:, 0]] - points[pairs[:, 1]])) if len(pairs) else 0.0
+    extent = points.max(axis=0) - points.min(axis=0)
+    target = np.sqrt(max(extent[0] * max(extent[1], 1e-3 * extent[0]), 1e-300) / len(points))
+    width = max(NODES_PER_CELL * target, extent.max() / MOST_CELLS, reach, 1e-300) * (1.0 + 1e-9)
+    grid = np.maximum(np.ceil(extent / width).astype(int), 1)
+    scaled = (points - points.min(axis=0)) / width + 0.5 * (grid - extent / width)
+    cell = np.clip(np.floor(scaled).astype(int), 0, grid - 1)
+    weights = _cubic(scaled - cell)
+    functions_per_side = grid + SUPPORT - 1
+    occupied, owner = np.unique(cell[:, 0] * grid[1] + cell[:, 1], return_inverse=True)
+    corner = np.stack([occupied // grid[1], occupied % grid[1]], axis=1)
+    members, place = _members(owner.reshape(-1), len(occupied), len(points))
+
+    def device(a: np.ndarray) -> Array:
+        return jnp.asarray(a.astype(np.int32))
+
+    return CoarseSpace(
+        device(cell),
+        jnp.asarray(weights),
+        device(members),
+        device(place),
+        device(_numbers(corner, 0, SUPPORT, functions_per_side)),
+        device(_numbers(corner, -1, WINDOW, functions_per_side)),
+        int(np.prod(functions_per_side)),
+    )
+
+
+def _longest_directions(rest: np.ndarray) -> np.ndarray:
+    """Coordinates (n, 2) along the principal directions of largest variance."""
+    centred = rest - rest.mean(axis=0)
+    _, directions = np.linalg.eigh(centred.T @ centred)
+    return centred @ directions[:, :0:-1]
+
+
+def _cubic(u: np.ndarray) -> np.ndarray:
+    """Weights (..., 4) of the uniform cubic B-splines that reach a cell, at `u` in [0, 1] of it."""
+    return (
+        np.stack(
+            [(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3],
+            axis=-1,
+        )
+        / 6.0
+    )
+
+
+def _members(owner: np.ndarray, cells: int, n: int) -> tuple[np.ndarray, np.ndarray]:
+    order = np.argsort(owner, kind="stable")
+    counts = np.bincount(owner, minlength=cells)
+    rank = np.arange(n) - np.repeat(np.cumsum(counts) - counts, counts)
+    members = np.full((cells, counts.max()), n)
+    members[owner[order], rank] = order
+    place = np.empty(n, dtype=int)
+    place[order] = owner[order] * counts.max() + rank
+    return members, place
+
+
+def _numbers(corner: np.ndarray, first: int, count: int, sides: np.ndarray) -> np.ndarray:
+    """Numbers (c, count^2) of the functions from `first` on; the number of functions where outside."""
+    along = [corner[:, i, None] + first + np.arange(count) for i in range(2)]
+    inside = [(a >= 0) & (a < side) for a, side in zip(along, sides, strict=True)]
+    number = along[0][:, :, None] * sides[1] + along[1][:, None, :]
+    known = inside[0][:, :, None] & inside[1][:, None, :]
+    return np.where(known, number, np.prod(sides)).reshape(len(corner), -1)

@@ -1,0 +1,92 @@
+"""A clamped shallow arch that snaps through under a dead load at midspan."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxcrumple.material import Material
+from jaxcrumple.mesh import Mesh
+from jaxcrumple.meshgen import hexagonal
+from jaxcrumple.model.loads import dead_load
+from jaxcrumple.model.scene import sheet
+from jaxcrumple.scenes.radial import Setup, smooth_imperfection
+from jaxcrumple.scenes.snap import check_positive, fixed, sheet_material
+
+# Height of a lattice row in units of the spacing.
+ROW = np.sqrt(3.0) / 2.0
+
+
+def arch(
+    nodes: int = 400,
+    seed: int = 0,
+    *,
+    length: float = 0.03,
+    width: float = 0.006,
+    rise: float = 0.002,
+    load: float = 0.2,
+    ramp: float = 0.03,
+    imperfection: float = 25e-6,
+    plastic: bool = False,
+    damping: str = "central",
+    material: Material | None = None,
+) -> Setup:
+    """A strip whose stress-free shape is a circular arch over the x axis, clamped at both ends.
+
+    The load, shared by the nodes of the middle row, pushes down (-z). It grows linearly for the time
+    `ramp` and then stays. The arch snaps at a symmetric limit point, not by swaying: the compression there
+    is $(2.7 \\pi/L)^2 B$ at most, short of the $(2.86 \\pi/L)^2 B$ at which it could sway. When the rise f is
+    many thicknesses the limit load is near $237 B f/L^3$, with span L and the bending stiffness
+    $B = (8/9) \\kappa W$ of a narrow strip (shallow-arch theory): 0.14 N by default, and 0.126 N with the
+    mesh and the imperfection that are the defaults. Inverted, the arch bears half of that load and more.
+
+    **Arguments:** about `nodes` nodes of a triangular lattice in rows across the strip; the last two rows
+    at each end are fixed, and the arch spans from midway between one pair to midway between the other;
+    `length` (between these planes), `width`, `rise` in m; `load` in N; `ramp` in s; `imperfection`:
+    largest height in m of a smooth, stress-free deviation from the circle, drawn with `seed`; `plastic`:
+    whether the sheet may yield; `damping`: "central" or "paper"; `material`: default `Material()`.
+    """
+    check_positive(length=length, width=width, rise=rise, load=load, ramp=ramp)
+    if not (np.isfinite(imperfection) and imperfection >= 0):
+        raise ValueError(f"imperfection = {imperfection!r} m must be zero or positive.")
+    if 2 * rise > length:
+        raise ValueError(f"rise = {rise} m is more than half the length {length} m; choose a shallower arch.")
+    flat, row = strip(nodes, length, width)
+    along, across = flat.vertices[:, 0], flat.vertices[:, 1]
+    x = on_arc(along, across, length, rise)
+    x[:, 2] += smooth_imperfection(flat.vertices[:, :2], length, imperfection, seed)
+    mesh = flat.with_rest_shape(x)
+    middle = np.flatnonzero(row == row.max() // 2)
+    push = np.tile([0.0, 0.0, -load / len(middle)], (len(middle), 1))
+    scene = sheet(
+        mesh,
+        sheet_material(material, plastic),
+        prescribed=fixed((row < 2) | (row > row.max() - 2), x),
+        extra=[dead_load(middle, push, ramp)],
+        damping=damping,
+    )
+    return Setup(mesh, scene, jnp.asarray(mesh.vertices))
+
+
+def strip(nodes: int, length: float, width: float) -> tuple[Mesh, np.ndarray]:
+    """Flat lattice strip along x with rows across it, and the row (n,) of each node, counted from 0.
+
+    The count of rows is odd, so that one lies at midspan; half a row at each end is beyond `length`.
+    """
+    spacing = np.sqrt(length * width / (nodes * ROW))
+    per_row = max(round(width / spacing + 0.5), 2)
+    spacing = width / (per_row - 0.5)
+    gaps = max(2 * round((length / (ROW * spacing) + 1.0) / 2.0), 6)
+    lattice = hexagonal(per_row, gaps, spacing)
+    row = np.rint(lattice.vertices[:, 1] / (ROW * spacing) + gaps / 2).astype(int)
+    along = (row - gaps / 2) * (length / (gaps - 1))
+    return lattice.with_rest_shape(np.column_stack([along, -lattice.vertices[:, 0]])), row
+
+
+def on_arc(along: np.ndarray, across: np.ndarray, length: float, rise: float) -> np.ndarray:
+    """Points (n, 3) of a flat strip bent to the circle that rises by `rise` over the chord `length`.
+
+    The chord's ends lie at x = -length/2 and length/2, z = 0; what is beyond them goes on along the circle.
+    """
+    radius = (length**2 / 4 + rise**2) / (2 * rise)
+    angle = 2 * np.arcsin(length / (2 * radius)) * along / length
+    height = radius * np.cos(angle) - (radius - rise)
+    return np.column_stack([radius * np.sin(angle), across, height])

@@ -1,0 +1,75 @@
+"""A shallow spherical cap on an immovable rim that turns inside out under a dead load at its apex."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxcrumple.material import Material
+from jaxcrumple.meshgen import disc
+from jaxcrumple.model.loads import dead_load
+from jaxcrumple.model.scene import sheet
+from jaxcrumple.scenes.radial import Setup
+from jaxcrumple.scenes.snap import check_positive, fixed, sheet_material
+
+
+def cap(
+    nodes: int = 400,
+    seed: int = 0,
+    *,
+    radius: float = 0.025,
+    rise: float = 0.001,
+    load: float = 0.3,
+    patch: float = 0.01,
+    offset: float = 0.25e-3,
+    ramp: float = 0.03,
+    sweeps: int = 100,
+    plastic: bool = False,
+    damping: str = "central",
+    material: Material | None = None,
+) -> Setup:
+    """A disc whose stress-free shape is a cap of a sphere, its rim held in place but free to turn.
+
+    The rim is pinned because a clamped one, which keeps its slope, lets a cap so shallow spring back:
+    here the inverted cap is stable with and without the load. The load pushes down (-z), spread around
+    the apex as a paraboloid that is zero from the distance `patch` on; it grows linearly for the time
+    `ramp` and then stays. By default it passes the limit point at 0.19 N. The load's small `offset` from
+    the apex decides which way the cap tilts on its way through.
+
+    **Arguments:** `nodes` of the random mesh made with `seed` and `sweeps` Lloyd sweeps; `radius` of the
+    rim, `rise`, `patch` and `offset` (along x) in m; `load` in N; `ramp` in s; `plastic`: whether the
+    sheet may yield; `damping`: "central" or "paper"; `material`: default `Material()`.
+    """
+    check_positive(radius=radius, rise=rise, load=load, patch=patch, ramp=ramp)
+    if rise > radius:
+        raise ValueError(f"rise = {rise} m is more than the radius {radius} m; choose a shallower cap.")
+    flat = disc(radius, nodes, seed=seed, sweeps=sweeps)
+    mesh = flat.with_rest_shape(on_sphere(flat.vertices[:, :2], radius, rise))
+    rim = np.zeros(mesh.n_nodes, bool)
+    rim[mesh.boundary_nodes] = True
+    weight = mesh.node_area * np.where(rim, 0.0, paraboloid(flat.vertices[:, :2] - [offset, 0.0], patch))
+    loaded = np.flatnonzero(weight)
+    if not len(loaded):
+        raise ValueError(
+            f"patch = {patch} m around the offset {offset} m holds no free node; choose a larger patch, "
+            "a smaller offset or more nodes."
+        )
+    push = np.outer(weight[loaded] / weight.sum(), [0.0, 0.0, -load])
+    scene = sheet(
+        mesh,
+        sheet_material(material, plastic),
+        prescribed=fixed(rim, mesh.vertices),
+        extra=[dead_load(loaded, push, ramp)],
+        damping=damping,
+    )
+    return Setup(mesh, scene, jnp.asarray(mesh.vertices))
+
+
+def on_sphere(points: np.ndarray, radius: float, rise: float) -> np.ndarray:
+    """Points (n, 3) over `points` (n, 2) on the sphere through the circle of `radius` and the apex."""
+    sphere = (radius**2 + rise**2) / (2 * rise)
+    height = np.sqrt(sphere**2 - np.sum(points**2, axis=1)) - (sphere - rise)
+    return np.column_stack([points, height])
+
+
+def paraboloid(points: np.ndarray, patch: float) -> np.ndarray:
+    """1 at the origin, falling to 0 at the distance `patch`, for points (n, 2)."""
+    return np.maximum(1.0 - np.sum(points**2, axis=1) / patch**2, 0.0)
