@@ -10,7 +10,7 @@ from jaxcrumple.model.loads import ElementEnergy, Gravity, LinearMotion, Prescri
 from jaxcrumple.model.plasticity import AbstractFlowRule, SmoothstepFlow
 from jaxcrumple.model.scene import Scene, sheet
 from jaxcrumple.run import resume_run, start_run
-from jaxcrumple.scenes import radial
+from jaxcrumple.scenes import arch, cap, energy_drop, radial, relaxed_drop
 from jaxcrumple.simulate import SimulationError, Solution, frame_times, simulate
 from jaxcrumple.solvers.hybrid import integrate
 from jaxcrumple.solvers.linear import linear_solve
@@ -55,9 +55,12 @@ __all__ = [
     "State",
     "Switch",
     "Wall",
+    "arch",
+    "cap",
     "configure",
     "disc",
     "energies",
+    "energy_drop",
     "force",
     "frame_times",
     "hexagonal",
@@ -71,6 +74,7 @@ __all__ = [
     "radial",
     "rectangle",
     "relax",
+    "relaxed_drop",
     "resume_run",
     "sheet",
     "simulate",

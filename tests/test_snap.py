@@ -322,6 +322,7 @@ def test_sheet_yields_when_asked(name):
         (arch, {"imperfection": -1e-6}, "imperfection = -1e-06 m must be zero or positive"),
         (cap, {"ramp": np.inf}, "ramp = inf must be a positive"),
         (cap, {"rise": 0.03}, "rise = 0.03 m is more than the radius 0.025 m; choose a shallower cap"),
+        (cap, {"offset": np.nan}, "offset = nan m must be finite"),
         (cap, {"offset": 0.2}, "patch = 0.01 m around the offset 0.2 m holds no free node; choose a larger"),
     ],
 )

@@ -110,18 +110,18 @@ class ElementEnergy(eqx.Module):
         return jnp.stack([jnp.moveaxis(hessian[:, a, :, b, :], 0, -1) for a, b in pairs])
 
 
-def dead_load(nodes: ArrayLike, force: ArrayLike, rise: float) -> ElementEnergy:
-    """Forces of fixed direction that grow linearly from zero at t = 0 and stay from t = `rise` s on.
+def dead_load(nodes: ArrayLike, force: ArrayLike, ramp: float) -> ElementEnergy:
+    """Forces of fixed direction that grow linearly from zero at t = 0 and stay from t = `ramp` s on.
 
-    **Arguments:** `nodes` (m,) node numbers; `force` (m, 3) their final forces in N; `rise` > 0.
+    **Arguments:** `nodes` (m,) node numbers; `force` (m, 3) their final forces in N; `ramp` > 0.
 
     **Returns:** the load as an energy, $-\\sum f(t) \\cdot x$, zero for nodes at the origin.
     """
     numbers = jnp.asarray(nodes)
-    parameters = (as_float(force), jnp.full(numbers.shape, float(rise)))
+    parameters = (as_float(force), jnp.full(numbers.shape, float(ramp)))
     return ElementEnergy(numbers[:, None], _dead_energy, parameters)
 
 
 def _dead_energy(x: Array, parameters: tuple[Array, Array], t: Array) -> Array:
-    force, rise = parameters
-    return -jnp.clip(t / rise, 0.0, 1.0) * (force @ x[0])
+    force, ramp = parameters
+    return -jnp.clip(t / ramp, 0.0, 1.0) * (force @ x[0])

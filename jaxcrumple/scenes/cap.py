@@ -31,7 +31,7 @@ def cap(
     The rim is pinned because a clamped one, which keeps its slope, lets a cap so shallow spring back:
     here the inverted cap is stable with and without the load. The load pushes down (-z), spread around
     the apex as a paraboloid that is zero from the distance `patch` on; it grows linearly for the time
-    `ramp` and then stays. By default it passes the limit point at 0.19 N. The load's small `offset` from
+    `ramp` and then stays. By default it passes the limit point near 0.195 N. The load's small `offset` from
     the apex decides which way the cap tilts on its way through.
 
     **Arguments:** `nodes` of the random mesh made with `seed` and `sweeps` Lloyd sweeps; `radius` of the
@@ -39,6 +39,8 @@ def cap(
     sheet may yield; `damping`: "central" or "paper"; `material`: default `Material()`.
     """
     check_positive(radius=radius, rise=rise, load=load, patch=patch, ramp=ramp)
+    if not np.isfinite(offset):
+        raise ValueError(f"offset = {offset!r} m must be finite.")
     if rise > radius:
         raise ValueError(f"rise = {rise} m is more than the radius {radius} m; choose a shallower cap.")
     flat = disc(radius, nodes, seed=seed, sweeps=sweeps)

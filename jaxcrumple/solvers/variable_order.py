@@ -36,6 +36,7 @@ class VariableOrder(AbstractImplicit):
     - `linear`: the linear solver.
     - `rho_infinity`: what a step with inertia leaves of a mode of infinite frequency, 0 (BDF2) to 1
       (the midpoint rule, which leaves all).
+    - `inertial_share`: share of `rtol` that the local error of a step with inertia may use.
     - `newton_share`: Newton's error as a share of what a step may leave.
     - `max_iterations`: Newton iterations before a step is rejected.
     - `inertia`: whether any stage has inertia; without it nothing is compiled for it.
@@ -44,6 +45,7 @@ class VariableOrder(AbstractImplicit):
     rtol: Array
     linear: AbstractLinearSolver
     rho_infinity: Array = eqx.field(default=0.0, converter=jnp.asarray)
+    inertial_share: Array = eqx.field(default=LOCAL_SHARE, converter=jnp.asarray)
     newton_share: Array = eqx.field(default=0.1, converter=jnp.asarray)
     inertia: bool = eqx.field(static=True, default=True)
     max_order: int = eqx.field(static=True, default=5)
@@ -121,8 +123,8 @@ class VariableOrder(AbstractImplicit):
         # A start compares with an Euler step, whose error is the formula's reversed; the step that
         # aligns the velocity has nothing to compare with, and may move by the whole tolerance.
         share = jnp.where(starts, 0.5, formula.share)
-        free = aligns(state) | (state.stage == IMPLICIT)
-        allowed = jnp.where(free, 1.0, LOCAL_SHARE) * self.rtol
+        part = jnp.where(state.stage == IMPLICIT, self.inertial_share, LOCAL_SHARE)
+        allowed = jnp.where(aligns(state), 1.0, part) * self.rtol
         errors = [jnp.asarray(jnp.inf), share * here / allowed, jnp.asarray(jnp.inf)]
         for place, other in ((0, order - 1), (2, order + 1)):
             known = (other >= 1) & (other < history.count) & (other <= self.max_order)
