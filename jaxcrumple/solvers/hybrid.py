@@ -41,9 +41,9 @@ COLLAPSE = 0.05
 # values hand over earlier than the accelerations ask for, and the answer then differs by more than rtol.
 LOST = 0.02
 # An implicit step costs as much as this many explicit ones; one that is not longer gives way to them.
-BREAK_EVEN = 30
+BREAK_EVEN = 10
 # Explicit steps, in stability limits, before the implicit stage is tried again.
-SPELL = 1000
+SPELL = 200
 # Relative to the time, a step below this is lost to rounding.
 SMALLEST_STEP = 1e-13
 

@@ -98,7 +98,7 @@ def hybrid(
     share = jnp.asarray(SNAP_SHARE if scheme == "hybrid" else REFERENCE_SHARE)
     steps = VariableOrder(tolerance, solver, rho, share, inertia=inertia, max_order=max_order)
     stages = {
-        "hybrid": (QUASISTATIC, IMPLICIT),
+        "hybrid": (QUASISTATIC, IMPLICIT, EXPLICIT),
         "dynamic": (IMPLICIT,),
         "quasistatic": (QUASISTATIC,),
     }[scheme]

@@ -1,0 +1,124 @@
+"""What the benchmarks share: options, recorded states, paired timing, and where results go."""
+
+import argparse
+import datetime
+import importlib.metadata
+import json
+import os
+import platform
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from matplotlib.figure import Figure
+
+jax.config.update("jax_enable_x64", True)
+
+from jaxcrumple import hybrid, initial_state, radial, simulate  # noqa: E402
+from jaxcrumple.model.scene import Scene  # noqa: E402
+from jaxcrumple.solvers.bdf import coefficients, extrapolation  # noqa: E402
+from jaxcrumple.system import ImplicitStep, State, implicit_step  # noqa: E402
+
+RESULTS = Path(__file__).parent / "results"
+# Moments of `radial`: before the first buckling, once buckled, and crumpled (R = 7.05, 6.3 and 4.5 cm).
+STATES = {"near flat": 0.05, "buckled": 0.8, "crumpled": 2.6}
+
+
+def options(description: str, nodes: Sequence[int]) -> argparse.ArgumentParser:
+    """The options every benchmark has."""
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--nodes", type=int, nargs="+", default=list(nodes))
+    parser.add_argument("--json", type=Path, help="write the figures by name to this file")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of table and plot")
+    parser.add_argument(
+        "--states", type=Path, default=Path("runs/states"), help="folder in which recorded states are kept"
+    )
+    return parser
+
+
+def stamp() -> str:
+    """Date, versions and machine."""
+    names = ("jaxcrumple", "jax", "jaxlib")
+    versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in names)
+    return f"{datetime.date.today()}, {versions}, {cpu_name()}, {os.cpu_count()} cores"
+
+
+def cpu_name() -> str:
+    """The processor in words."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+def save(opts, name: str, text: str, figure: Figure | None, ratios: dict[str, float], results: Any) -> None:
+    """Write NAME.md, NAME.png and, if asked, the JSON file; print the table."""
+    opts.out.mkdir(parents=True, exist_ok=True)
+    text = f"{text}\n\n{stamp()}\n"
+    (opts.out / f"{name}.md").write_text(text)
+    if figure is not None:
+        figure.savefig(opts.out / f"{name}.png", dpi=130)
+    if opts.json:
+        opts.json.write_text(json.dumps({"ratios": ratios, "results": results, "stamp": stamp()}, indent=1))
+    print(text)
+    for key, value in ratios.items():
+        print(f"{key}: {value:.3g}")
+
+
+def markdown(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """A Markdown table."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)
+
+
+class Recorded(NamedTuple):
+    """A scene and a state of it that a run went through."""
+
+    scene: Scene
+    state: State
+
+
+def recorded(nodes: int, t: float, folder: Path) -> Recorded:
+    """State of `radial` at time `t` s, run with the default scheme at rtol 1e-4, or read if it was."""
+    setup = radial(nodes)
+    state = initial_state(setup.scene, setup.x)
+    folder.mkdir(parents=True, exist_ok=True)
+    earlier = sorted(u for u in STATES.values() if u <= t)
+    for stop in earlier if t in earlier else [*earlier, t]:
+        path = folder / f"radial_{nodes}_{stop:g}.eqx"
+        if path.exists():
+            state = eqx.tree_deserialise_leaves(path, state)
+            continue
+        state = simulate(setup.scene, state, stop, solver=hybrid(1e-4), throw=True).state
+        eqx.tree_serialise_leaves(path, state)
+    return Recorded(setup.scene, state)
+
+
+def next_equations(scene: Scene, state: State) -> tuple[ImplicitStep, Array]:
+    """The quasistatic step that the recorded run takes next, and its predicted positions (n, 3)."""
+    history = state.history
+    alpha, beta_h = coefficients(state.h, history.steps, history.order)
+    weights = extrapolation(state.h, history.steps, history.order + 1)
+    step = implicit_step(scene, history, alpha, beta_h, state.t + state.h)
+    return step, jnp.tensordot(weights, history.x, 1)
+
+
+def paired(functions: dict[str, Callable[[], Any]], repeats: int) -> dict[str, float]:
+    """Smallest wall seconds of each function, called in turn (A B A B ...) after one call to warm up."""
+    best = dict.fromkeys(functions, np.inf)
+    for function in functions.values():
+        jax.block_until_ready(function())
+    for _ in range(repeats):
+        for name, function in functions.items():
+            start = time.perf_counter()
+            jax.block_until_ready(function())
+            best[name] = min(best[name], time.perf_counter() - start)
+    return best
