@@ -1,0 +1,196 @@
+"""Run time against error: schemes and linear solvers at many tolerances, against a tight reference.
+
+Three stretches: `radial` until its first change of stage may come (the first buckling and the smooth motion
+after it), windows of 50 steps from recorded states, and the snap of a spherical cap. The reference is
+`dynamic` (inertia throughout) for the snap, and `quasistatic` for the others, where inertia is nil; both run
+at a tolerance far below those compared. The figure `hybrid_vs_paper` is the ratio of CPU seconds at equal
+error, the paper's read off its own curve.
+
+    python scripts/bench_precision.py [--nodes N ...] [--stretch radial windows snap] [--json FILE]
+"""
+
+import time
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from benchlib import STATES, markdown, options, recorded, save
+from matplotlib.figure import Figure
+
+from jaxcrumple import cap, frame_times, hybrid, initial_state, radial, simulate
+from jaxcrumple.model.scene import Scene
+from jaxcrumple.system import State
+
+# Schemes with their linear solvers; None is the scheme's own.
+COMPARED = (
+    ("hybrid", "direct"),
+    ("hybrid", "two-level"),
+    ("hybrid", "block-cg"),
+    ("dynamic", "direct"),
+    ("explicit", None),
+    ("paper", None),
+)
+RTOLS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
+# A window is as long as this many steps of the default scheme.
+WINDOW_STEPS = 50
+# Seconds after which a run gives up.
+PATIENCE = 240.0
+
+
+class Stretch(NamedTuple):
+    """A piece of motion: start, times at which positions are compared, and the reference's scheme."""
+
+    name: str
+    scene: Scene
+    state: State
+    times: np.ndarray
+    reference: str
+    tightest: float
+
+
+def smooth(nodes: int) -> Stretch:
+    """`radial` from its start through the first buckling."""
+    setup = radial(nodes)
+    state = initial_state(setup.scene, setup.x)
+    return Stretch("radial", setup.scene, state, frame_times(0.6, 24)[1:], "quasistatic", 1e-8)
+
+
+def snap(nodes: int) -> Stretch:
+    """The cap, through its limit point and to rest."""
+    setup = cap(nodes)
+    state = initial_state(setup.scene, setup.x)
+    return Stretch("cap", setup.scene, state, np.array([0.005, 0.01, 0.015, 0.05]), "dynamic", 1e-6)
+
+
+def windows(nodes: int, folder) -> list[Stretch]:
+    """From each recorded state, as long as 50 steps of the default scheme take."""
+    found = []
+    for name, t in STATES.items():
+        scene, state = recorded(nodes, t, folder)
+        trial = simulate(scene, state, t + 1.0, solver=hybrid(1e-4), max_attempts=WINDOW_STEPS)
+        steps = trial.history[trial.history["kind"] == 0]
+        end = float(steps["t"].iloc[min(len(steps), WINDOW_STEPS) - 1])
+        times = np.linspace(t, end, 6)[1:]
+        found.append(Stretch(f"window {name}", scene, state, times, "quasistatic", 1e-7))
+    return found
+
+
+def run(stretch: Stretch, scheme: str, linear: str | None, rtol: float, patience: float = PATIENCE):
+    """Positions at the stretch's times, CPU seconds, steps and result of one run; compiling apart."""
+    solver = hybrid(rtol, scheme=scheme, linear=linear)
+    state = eqx.tree_at(lambda s: s.h, stretch.state, stretch.state.h)
+    simulate(stretch.scene, state, stretch.times, solver=solver, max_attempts=1)
+    start = time.process_time()
+    solution = simulate(stretch.scene, state, stretch.times, solver=solver, max_seconds=patience)
+    spent = time.process_time() - start
+    counters, before = solution.state.counters, stretch.state.counters
+    steps = np.asarray(counters.steps) - np.asarray(before.steps)
+    return solution, spent, steps
+
+
+def measure(stretch: Stretch, compared, rtols) -> list[dict]:
+    """All runs of one stretch, tolerances in the outer loop so that schemes run in turn."""
+    reference, *_ = run(stretch, stretch.reference, None, stretch.tightest, np.inf)
+    size = float(stretch.scene.length_scale)
+    rows, slow = [], set()
+    for rtol in rtols:
+        for scheme, linear in compared:
+            if (scheme, linear) in slow:
+                continue
+            solution, spent, steps = run(stretch, scheme, linear, rtol)
+            complete = solution.result == "success"
+            error = np.abs(solution.x - reference.x).max() / size if complete else np.nan
+            if solution.result == "budget":
+                slow.add((scheme, linear))
+            rows.append(
+                {
+                    "stretch": stretch.name, "nodes": stretch.scene.n_nodes, "scheme": scheme,
+                    "linear": linear or "own", "rtol": rtol, "error": float(error), "cpu_s": spent,
+                    "wall_s": solution.run_s, "steps": [int(s) for s in steps], "result": solution.result,
+                    "newton": int(solution.state.counters.newton - stretch.state.counters.newton),
+                }
+            )  # fmt: skip
+            print(rows[-1], flush=True)
+    return rows
+
+
+def speed_up(rows: list[dict]) -> dict[str, float]:
+    """CPU seconds of the paper's scheme over those of the hybrid at equal error, by stretch and size.
+
+    The hybrid's run at 1e-4 sets the error; the paper's cost there is interpolated on its own curve in
+    logarithms, or taken at its loosest run if even that is more accurate.
+    """
+    figures = {}
+    for key in sorted({(row["stretch"], row["nodes"]) for row in rows}):
+        mine = [r for r in rows if (r["stretch"], r["nodes"]) == key and np.isfinite(r["error"])]
+        ours = [r for r in mine if (r["scheme"], r["linear"], r["rtol"]) == ("hybrid", "direct", 1e-4)]
+        theirs = sorted((r["error"], r["cpu_s"]) for r in mine if r["scheme"] == "paper")
+        if ours and theirs:
+            error, cost = np.log(np.array(theirs)).T
+            expected = np.exp(np.interp(np.log(ours[0]["error"]), error, cost))
+            name = f"hybrid_vs_paper_{key[0].replace(' ', '_')}_{key[1]}"
+            figures[name] = float(expected / ours[0]["cpu_s"])
+    windows = [r for r in rows if r["stretch"].startswith("window")]
+    for nodes in sorted({row["nodes"] for row in windows}):
+        parts = [
+            v
+            for k, v in figures.items()
+            if k.startswith("hybrid_vs_paper_window") and k.endswith(f"_{nodes}")
+        ]
+        figures[f"hybrid_vs_paper_windows_{nodes}"] = (
+            float(np.exp(np.mean(np.log(parts)))) if parts else np.nan
+        )
+    return figures
+
+
+def table(rows: list[dict]) -> str:
+    """One line per run."""
+    cells = [
+        [
+            r["stretch"], r["nodes"], r["scheme"], r["linear"], f"{r['rtol']:.0e}", f"{r['error']:.1e}",
+            f"{r['cpu_s']:.1f}", " + ".join(map(str, r["steps"])), r["result"],
+        ]
+        for r in rows
+    ]  # fmt: skip
+    header = ["stretch", "n", "scheme", "solver", "rtol", "error / sqrt(A)", "CPU s", "steps", "result"]
+    return markdown([*header[:-2], "steps (quasistatic + implicit + explicit)", header[-1]], cells)
+
+
+def draw(rows: list[dict]) -> Figure:
+    """CPU time against error, a panel per stretch and size."""
+    panels = sorted({(row["stretch"], row["nodes"]) for row in rows})
+    figure = Figure(figsize=(4.2 * len(panels), 4), layout="constrained")
+    for axes, key in zip(np.atleast_1d(figure.subplots(1, len(panels))), panels, strict=True):
+        mine = [r for r in rows if (r["stretch"], r["nodes"]) == key and np.isfinite(r["error"])]
+        for scheme in sorted({(r["scheme"], r["linear"]) for r in mine}):
+            line = [(r["error"], r["cpu_s"]) for r in mine if (r["scheme"], r["linear"]) == scheme]
+            axes.loglog(*zip(*line, strict=True), "o-", label=" ".join(scheme))
+        axes.set(title=f"{key[0]}, n = {key[1]}", xlabel="error / sqrt(A)", ylabel="CPU s")
+        axes.grid(alpha=0.3)
+        axes.legend(frameon=False, fontsize=7)
+    return figure
+
+
+def main() -> None:
+    """Run the benchmark."""
+    parser = options(__doc__, (500,))
+    parser.add_argument("--stretch", nargs="+", default=["radial", "windows", "snap"])
+    parser.add_argument("--rtols", type=float, nargs="+", default=list(RTOLS))
+    parser.add_argument("--schemes", nargs="+", default=[scheme for scheme, _ in COMPARED])
+    opts = parser.parse_args()
+    compared = [pair for pair in COMPARED if pair[0] in opts.schemes]
+    rows = []
+    for nodes in opts.nodes:
+        stretches = [smooth(nodes)] if "radial" in opts.stretch else []
+        stretches += windows(nodes, opts.states) if "windows" in opts.stretch else []
+        stretches += [snap(nodes)] if "snap" in opts.stretch else []
+        for stretch in stretches:
+            rows += measure(stretch, compared, opts.rtols)
+            jax.clear_caches()
+    name = "precision_" + "_".join(opts.stretch)
+    save(opts, name, table(rows), draw(rows), speed_up(rows), rows)
+
+
+if __name__ == "__main__":
+    main()

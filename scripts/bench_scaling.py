@@ -1,0 +1,234 @@
+"""How the cost of a step grows with the mesh, what it is made of, and what threads, options and starts cost.
+
+For each n, from recorded states of `radial`: wall and CPU seconds per accepted quasistatic step with one
+and with two threads (the process is confined to that many cores), its components, peak memory, the extra
+cost of plasticity and of the wall, and the time from a cold start to the first accepted step with an empty and
+with a warm compilation cache.
+
+    python scripts/bench_scaling.py [--nodes N ...] [--json FILE]
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+
+import equinox as eqx
+import jax
+import numpy as np
+from benchlib import STATES, markdown, next_equations, options, paired, recorded, save
+from matplotlib.figure import Figure
+
+from jaxcrumple import hybrid, simulate
+from jaxcrumple.model.scene import Scene
+from jaxcrumple.system import State, energies, linearize, residual
+from jaxcrumple.threads import single_threaded_blas
+
+STEPS = 50
+
+
+def steps_from(nodes: int, folder) -> dict[str, dict[str, float]]:
+    """Seconds per accepted step over 50 accepted ones from the buckled and the crumpled state."""
+    found = {}
+    for name in ("buckled", "crumpled"):
+        scene, state = recorded(nodes, STATES[name], folder)
+        solver = hybrid(1e-4)
+        simulate(scene, state, float(state.t) + 1.0, solver=solver, max_attempts=1)
+        start, cpu = time.perf_counter(), time.process_time()
+        end = simulate(scene, state, float(state.t) + 1.0, solver=solver, max_attempts=STEPS).state
+        wall, cpu = time.perf_counter() - start, time.process_time() - cpu
+        steps = int(np.sum(end.counters.steps - state.counters.steps))
+        newton = int(end.counters.newton - state.counters.newton)
+        found[name] = {"wall_s": wall / steps, "cpu_s": cpu / steps, "newton": newton / steps}
+    return found
+
+
+def components(nodes: int, folder) -> dict[str, float]:
+    """Seconds of the parts of a step, on the crumpled state."""
+    scene, state = recorded(nodes, STATES["crumpled"], folder)
+    step, x = next_equations(scene, state)
+    linear = hybrid(1e-4).implicit.linear
+    value, values = eqx.filter_jit(linearize)(scene, step, x)
+    start = eqx.filter_jit(linear.start)(scene.pattern)
+    fresh = iter(range(1, 10**6))
+
+    @eqx.filter_jit
+    def factor(values):
+        return linear.factor(scene.pattern, values, start)
+
+    made = factor(values)
+
+    @eqx.filter_jit
+    def solve(rhs):
+        return linear.solve(scene.pattern, made, values, rhs, 1e-3).x
+
+    tangent, plain, parts = (eqx.filter_jit(f) for f in (linearize, residual, energies))
+    return paired(
+        {
+            "tangent": lambda: tangent(scene, step, x),
+            "factor": lambda: factor(values * (1.0 + 1e-12 * next(fresh))),
+            "solve": lambda: solve(-value.reshape(-1)),
+            "residual": lambda: plain(scene, step, x),
+            "energies": lambda: parts(scene, state.x, state.v, state.p, state.t),
+        },
+        10,
+    )
+
+
+def option_costs(nodes: int, folder) -> dict[str, float]:
+    """Extra cost of plasticity and of the wall, as shares of a step without them; medians of ratios."""
+    scene, state = recorded(nodes, STATES["crumpled"], folder)
+
+    def variant(drop: str | None) -> tuple[Scene, State]:
+        if drop == "wall":
+            return eqx.tree_at(lambda s: s.walls, scene, ()), state
+        if drop == "plasticity":
+            rest = eqx.tree_at(lambda s: s.bending.rest_curvature, scene, state.p)
+            elastic = eqx.tree_at(lambda s: s.plasticity, rest, None)
+            bare = eqx.tree_at(lambda s: (s.p, s.history.p), state, (None, None))
+            return elastic, bare
+        return scene, state
+
+    implicit = hybrid(1e-4).implicit
+
+    @eqx.filter_jit
+    def attempt(scene, state, h):
+        factor = implicit.linear.start(scene.pattern)
+        tried = implicit.attempt(scene, state, h, factor)
+        return tried.x, tried.error, tried.newton
+
+    fresh = iter(range(1, 10**6))
+    calls, newton = {}, {}
+    for name in ("all", "wall", "plasticity"):
+        built = variant(None if name == "all" else name)
+        newton[name] = int(attempt(*built, state.h)[2])
+        # A new step size each time: a factor is kept for as long as the values are the same.
+        calls[name] = lambda b=built: attempt(*b, state.h * (1.0 + 1e-9 * next(fresh)))
+    seconds = paired(calls, 15)
+    print("Newton iterations of the variants:", newton)
+    each = {name: seconds[name] / newton[name] for name in seconds}
+    return {name: each["all"] / each[name] - 1.0 for name in ("plasticity", "wall")}
+
+
+def start_up(nodes: int, cache: str) -> float:
+    """Seconds of a new process from its start to the first accepted step."""
+    program = (
+        "import jax; jax.config.update('jax_enable_x64', True);"
+        f"jax.config.update('jax_compilation_cache_dir', {cache!r});"
+        "jax.config.update('jax_persistent_cache_min_compile_time_secs', 0.0);"
+        "import jaxcrumple as jc; s = jc.radial(%d);"
+        "jc.simulate(s.scene, jc.initial_state(s.scene, s.x), 1e-6, throw=True)"
+    )
+    begin = time.perf_counter()
+    subprocess.run([sys.executable, "-c", program % nodes], check=True)
+    return time.perf_counter() - begin
+
+
+def confined(nodes: int, folder, cores: int) -> dict:
+    """`steps_from` and peak memory in a process confined to so many cores."""
+    command = [sys.executable, __file__, "--child", "--nodes", str(nodes), "--states", str(folder)]
+    allowed = sorted(os.sched_getaffinity(0))[:cores]
+    done = subprocess.run(
+        command,
+        check=True,
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: os.sched_setaffinity(0, allowed),
+    )
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def child(nodes: int, folder) -> None:
+    """What the confined process does."""
+    import resource
+
+    found = steps_from(nodes, folder)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
+    print(json.dumps({"steps": found, "peak_mb": peak}))
+
+
+def measure(nodes: int, folder) -> dict:
+    """Everything at one size."""
+    for t in STATES.values():
+        recorded(nodes, t, folder)
+    result = {"nodes": nodes, "threads": {cores: confined(nodes, folder, cores) for cores in (1, 2)}}
+    with single_threaded_blas():
+        result["components"] = components(nodes, folder)
+        result["options"] = option_costs(nodes, folder)
+    with tempfile.TemporaryDirectory() as cache:
+        result["cold_s"], result["warm_s"] = start_up(nodes, cache), start_up(nodes, cache)
+    print(result, flush=True)
+    jax.clear_caches()
+    return result
+
+
+def table(results: list[dict]) -> str:
+    """Steps, components and starts."""
+    steps, parts = [], []
+    for result in results:
+        for cores, run in result["threads"].items():
+            cells = [
+                f"{run['steps'][s][k]:.3f}" for s in ("buckled", "crumpled") for k in ("wall_s", "cpu_s")
+            ]
+            newton = f"{run['steps']['crumpled']['newton']:.2f}"
+            steps.append([result["nodes"], cores, *cells, newton, f"{run['peak_mb']:.0f}"])
+        times = [f"{1e3 * seconds:.1f}" for seconds in result["components"].values()]
+        shares = [f"{100 * share:.1f} %" for share in result["options"].values()]
+        parts.append([result["nodes"], *times, *shares, f"{result['cold_s']:.1f}", f"{result['warm_s']:.1f}"])
+    first = ["n", "cores", "buckled wall s", "CPU s", "crumpled wall s", "CPU s", "Newton", "peak MB"]
+    second = ["n", *(f"{name} ms" for name in results[0]["components"])]
+    second += ["plasticity costs", "wall costs", "cold start s", "warm start s"]
+    return (
+        f"Per accepted step, {STEPS} attempts from each state:\n\n{markdown(first, steps)}\n\n"
+        f"Parts of a step, costs of options, first accepted step:\n\n{markdown(second, parts)}"
+    )
+
+
+def ratios(results: list[dict]) -> dict[str, float]:
+    """Thread efficiency, step seconds, options and starts by size; growth with n."""
+    figures = {}
+    for result in results:
+        n, one, two = result["nodes"], *(result["threads"][cores]["steps"] for cores in (1, 2))
+        figures[f"thread_efficiency_{n}"] = one["crumpled"]["wall_s"] / (2.0 * two["crumpled"]["wall_s"])
+        figures[f"step_s_{n}"] = max(two[name]["wall_s"] for name in two)
+        figures[f"plasticity_cost_{n}"] = result["options"]["plasticity"]
+        figures[f"wall_cost_{n}"] = result["options"]["wall"]
+        figures[f"cold_start_s_{n}"], figures[f"warm_start_s_{n}"] = result["cold_s"], result["warm_s"]
+        figures[f"peak_mb_{n}"] = result["threads"][2]["peak_mb"]
+    if len(results) > 1:
+        points = np.log([(r["nodes"], r["threads"][2]["steps"]["crumpled"]["wall_s"]) for r in results])
+        figures["step_growth_exponent"] = float(np.polyfit(*points.T, 1)[0])
+    return figures
+
+
+def draw(results: list[dict]) -> Figure:
+    """Components and whole steps against n."""
+    figure = Figure(figsize=(5.5, 4), layout="constrained")
+    axes = figure.add_subplot(xscale="log", yscale="log", xlabel="nodes", ylabel="seconds")
+    nodes = [result["nodes"] for result in results]
+    for name in results[0]["components"]:
+        axes.plot(nodes, [result["components"][name] for result in results], "o-", label=name)
+    for cores in (1, 2):
+        walls = [result["threads"][cores]["steps"]["crumpled"]["wall_s"] for result in results]
+        axes.plot(nodes, walls, "s--", label=f"step, {cores} cores")
+    axes.legend(frameon=False)
+    axes.grid(alpha=0.3)
+    return figure
+
+
+def main() -> None:
+    """Run the benchmark."""
+    parser = options(__doc__, (1000, 3000))
+    parser.add_argument("--child", action="store_true", help="measure steps only, in this process")
+    opts = parser.parse_args()
+    if opts.child:
+        child(opts.nodes[0], opts.states)
+        return
+    results = [measure(nodes, opts.states) for nodes in opts.nodes]
+    save(opts, "scaling", table(results), draw(results), ratios(results), results)
+
+
+if __name__ == "__main__":
+    main()
