@@ -2,8 +2,8 @@
 
 For each n, from recorded states of `radial`: wall and CPU seconds per accepted quasistatic step with one
 and with two threads (the process is confined to that many cores), its components, peak memory, the extra
-cost of plasticity and of the wall, and the time from a cold start to the first accepted step with an empty and
-with a warm compilation cache.
+cost of plasticity and of the wall, and the time from a cold start to the first accepted step, with an empty
+and with a warm compilation cache.
 
     python scripts/bench_scaling.py [--nodes N ...] [--json FILE]
 """
