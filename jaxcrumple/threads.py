@@ -26,7 +26,7 @@ def single_threaded_blas() -> Iterator[None]:
 
 @contextmanager
 def _single_threaded_mkl(pools: ThreadpoolController) -> Iterator[None]:
-    """Hold MKL for all threads: the limit of threadpoolctl holds for the calling one, XLA calls from others."""
+    """Hold MKL for all threads; the limit that threadpoolctl sets holds for the calling one alone."""
     libraries = [(pool.dynlib, pool.num_threads) for pool in pools.select(internal_api="mkl").lib_controllers]
     for library, _ in libraries:
         library.MKL_Set_Num_Threads(1)

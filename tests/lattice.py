@@ -8,10 +8,10 @@ from jaxcrumple.material import Material
 from jaxcrumple.meshgen import hexagonal
 from jaxcrumple.model.loads import LinearMotion, Prescribed
 from jaxcrumple.model.scene import sheet
-from jaxcrumple.solvers.explicit import stability_limit
-from jaxcrumple.solvers.hybrid import hybrid, integrate
+from jaxcrumple.solvers.hybrid import integrate
+from jaxcrumple.solvers.scheme import hybrid
 from jaxcrumple.solvers.switch import Switch
-from jaxcrumple.system import QUASISTATIC, RESULTS, initial_state
+from jaxcrumple.system import RESULTS
 
 SPACING = 1e-3
 ROW = np.sqrt(3) / 2 * SPACING
@@ -56,9 +56,9 @@ def strip_scene():
     return mesh, eqx.tree_at(lambda s: (s.drag.coefficient, s.damping.coefficient), scene, off)
 
 
-def solver(rtol, max_step=np.inf):
-    """The hybrid integrator that keeps to its stage."""
-    return hybrid(rtol, switch=FOREVER, max_step=max_step)
+def solver(rtol, scheme="quasistatic", **options):
+    """The integrator with one stage; the hybrid one keeps to the stage it starts in."""
+    return hybrid(rtol, scheme=scheme, switch=FOREVER, **options)
 
 
 def with_terms(scene, *, drag=0.0, internal=0.0, gravity=(0.0, 0.0, 0.0)):
@@ -78,15 +78,6 @@ def advance(scene, state, t_stop, solver, calls=20):
         if float(state.t) >= t_stop:
             return state
     raise AssertionError(f"t = {float(state.t)} after {calls} calls, asked for {t_stop}")
-
-
-def start(scene, x, v=None, stage=QUASISTATIC):
-    """Initial state in the given stage."""
-    state = initial_state(scene, x, v)
-    if stage == QUASISTATIC:
-        return state
-    first = stability_limit(scene, state.x)
-    return eqx.tree_at(lambda s: (s.stage, s.h_explicit), state, (jnp.asarray(stage), first))
 
 
 def angle_rotation(angle):

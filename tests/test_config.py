@@ -2,6 +2,7 @@
 
 import json
 
+import equinox as eqx
 import numpy as np
 import pytest
 
@@ -11,6 +12,8 @@ from jaxcrumple.io import RunDirectoryError
 from jaxcrumple.material import Material
 from jaxcrumple.scenes import SCENES
 from jaxcrumple.solvers.block_cg import BlockCG
+from jaxcrumple.solvers.pair import BDFPair
+from jaxcrumple.solvers.scheme import SCHEMES, hybrid
 
 # Settings and what the message about them must say.
 REFUSED = [
@@ -39,9 +42,16 @@ REFUSED = [
     ({"settings": ["max_step=inf"]}, "max_step = 'inf': Input should be a finite number"),
     ({"settings": ["max_step=nan"]}, "max_step = 'nan': Input should be a finite number"),
     ({"settings": ["max_step=0"]}, "max_step = '0': Input should be greater than 0"),
-    ({"settings": ["max_order=5"]}, "max_order = '5': Input should be 3 or 4"),
-    ({"settings": ["linear=lu"]}, "linear = 'lu': Input should be 'auto', 'direct' or 'block-cg'"),
-    ({"settings": ["stages=both"]}, "stages = 'both': Input should be 'hybrid' or 'quasistatic'"),
+    ({"settings": ["max_order=6"]}, "max_order = '6': Input should be less than or equal to 5"),
+    (
+        {"settings": ["linear=lu"]},
+        "linear = 'lu': Input should be 'auto', 'direct', 'two-level' or 'block-cg'",
+    ),
+    ({"settings": ["max_order=0"]}, "max_order = '0': Input should be greater than or equal to 1"),
+    ({"settings": ["rho_infinity=1.1"]}, "rho_infinity = '1.1': Input should be less than or equal to 1"),
+    ({"settings": ["scheme=both"]}, "scheme = 'both': Input should be 'hybrid', 'paper', 'dynamic', 'quasi"),
+    ({"settings": ["switch_down=0"]}, "switch_down = '0': Input should be greater than 0"),
+    ({"settings": ["stages=hybrid"]}, "'stages' is unknown"),
     ({"settings": ["damping=none"]}, "damping = None: Input should be 'central' or 'paper'"),
     ({"settings": ["sweeps=1.5"]}, "sweeps = '1.5': Input should be a valid integer"),
     ({"settings": ["frames=0"]}, "frames = '0': Input should be greater than or equal to 1"),
@@ -106,15 +116,19 @@ def test_settings_reach_scene_material_and_solver():
         nodes=70,
         seed=3,
         settings=["thickness=1e-4", " rtol = 1e-5", "linear=block-cg", "frames=7", "sweeps=3", "speed=0.02",
-                  "switch_up=2e-5", "stages=quasistatic", "yield_c0=0.25", "max_step=1e-3"],
+                  "switch_up=2e-5", "scheme=paper", "yield_c0=0.25", "max_step=1e-3"],
     )  # fmt: skip
     assert (config.nodes, config.seed, config.frames) == (70, 3, 7)
     assert config.t_end == SCENES["radial"].t_end
     material, solver, setup = config.material.build(), config.solver.build(), config.build()
     assert (material.thickness, material.yield_c0, material.yield_curvature) == (1e-4, 0.25, None)
-    assert float(solver.quasistatic.rtol) == float(solver.explicit.rtol) == 1e-5
-    assert isinstance(solver.quasistatic.linear, BlockCG)
-    assert (float(solver.switch.up), solver.switch.enabled, float(solver.max_step)) == (2e-5, False, 1e-3)
+    assert float(solver.implicit.rtol) == float(solver.explicit.rtol) == 1e-5
+    assert isinstance(solver.implicit, BDFPair)
+    assert isinstance(solver.implicit.linear, BlockCG)
+    # What is not given is the scheme's own.
+    switch = solver.switch
+    assert (float(switch.up), float(switch.down), float(switch.dwell)) == (2e-5, 1e-6, 0.0)
+    assert float(solver.max_step) == 1e-3
     assert setup.mesh.n_nodes == 70
     assert float(setup.scene.walls[0].shape.radius.rate) == -0.02
     np.testing.assert_allclose(setup.scene.plasticity.yield_curvature, 0.25)
@@ -135,6 +149,15 @@ def test_a_configuration_survives_its_file(settings):
     assert RunConfig(**json.loads(text)) == config
     assert RunConfig.model_validate_json(config.model_dump_json()) == config
     assert float(RunConfig(**json.loads(text)).solver.build().max_step) == (0.01 if settings else np.inf)
+
+
+def test_every_scheme_is_an_option():
+    for scheme in SCHEMES:
+        config = configure("radial", settings=[f"scheme={scheme}", "max_order=3", "rho_infinity=0.5"])
+        assert config.options["damping"] == ("paper" if scheme == "paper" else "central")
+        solver, expected = config.solver.build(), hybrid(scheme=scheme, max_order=3, rho_infinity=0.5)
+        assert eqx.tree_equal(solver, expected, typematch=True)
+    assert configure("radial", settings=["scheme=paper", "damping=central"]).options["damping"] == "central"
 
 
 def test_defaults_of_the_options_are_those_of_the_code():

@@ -5,13 +5,13 @@ import functools
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from lattice import CELL, ROW, SPACING, angle_rotation, constants, elastic, held, lattice, start
+from lattice import CELL, ROW, SPACING, angle_rotation, constants, elastic, held, lattice
 from scipy.optimize import brentq
 
 from jaxcrumple.mesh import Mesh
 from jaxcrumple.model.scene import sheet
 from jaxcrumple.solvers.relax import relax
-from jaxcrumple.system import tangent
+from jaxcrumple.system import initial_state, tangent
 
 ANGLES = np.radians([0.0, 7.0, 15.0, 22.0, 30.0])
 
@@ -40,7 +40,7 @@ def pulled_strip(nx, ny, strain):
     mask[0, 1] = True
     target = mesh.vertices * np.array([1 + strain, 1.0, 1.0])
     scene = sheet(mesh, elastic(), prescribed=held(mask, target))
-    rest = relax(scene, start(scene, mesh.vertices), force_tolerance=1e-9)
+    rest = relax(scene, initial_state(scene, mesh.vertices), force_tolerance=1e-9)
     assert rest.converged
     return mesh, scene, np.asarray(rest.state.x)
 
@@ -167,7 +167,7 @@ def bending_matrix(nx, ny):
     """Hessian (n, n) by the heights of a flat strip: bending alone, springs are unstrained."""
     mesh = lattice(nx, ny)
     scene = sheet(mesh, elastic())
-    return mesh, tangent(scene, start(scene, mesh.vertices))[2::3, 2::3]
+    return mesh, tangent(scene, initial_state(scene, mesh.vertices))[2::3, 2::3]
 
 
 def curved_strip_energy(nx, ny):
@@ -198,7 +198,7 @@ def test_narrow_strip_with_free_edges_is_softer():
 def row_stiffness(mesh, scene, strain, nx, ny):
     """Lowest eigenvalue of the tangent for rigid rows that move in z, ends pinned, under `strain` in y."""
     x = mesh.vertices * np.array([1.0, 1 + strain, 1.0])
-    stiffness = tangent(scene, start(scene, x))[2::3, 2::3]
+    stiffness = tangent(scene, initial_state(scene, x))[2::3, 2::3]
     rows = np.kron(np.eye(ny + 1), np.ones((nx, 1)))[:, 1:-1]
     return np.linalg.eigvalsh(rows.T @ (stiffness @ rows))[0]
 

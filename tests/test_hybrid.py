@@ -22,10 +22,11 @@ from jaxcrumple.model.plasticity import AbstractFlowRule
 from jaxcrumple.model.scene import sheet
 from jaxcrumple.scenes import radial
 from jaxcrumple.simulate import SimulationError, frame_times, simulate
-from jaxcrumple.solvers.hybrid import hybrid, integrate
+from jaxcrumple.solvers.hybrid import integrate
 from jaxcrumple.solvers.relax import relax
+from jaxcrumple.solvers.scheme import SCHEMES, hybrid
 from jaxcrumple.solvers.switch import Switch
-from jaxcrumple.system import QUASISTATIC, initial_state
+from jaxcrumple.system import IMPLICIT, QUASISTATIC, STAGES, initial_state
 
 NODES = 60
 # The wall meets the corners at once, so the sheet snaps at 9 ms and is calm again at 12 ms.
@@ -70,8 +71,8 @@ def test_new_numbers_do_not_compile_again(monkeypatch, tmp_path):
     monkeypatch.setattr(importlib.import_module("jaxcrumple.simulate"), "_integrate", once)
     scene = setup().scene
     first = simulate(scene, start(), SNAP_END, solver=solver())
-    # One call ends after 1024 units of cost, at most 1024 dynamic steps.
-    assert int(first.state.counters.dynamic) + 32 * int(first.state.counters.quasistatic) > 1024
+    # One call ends after 1024 units of cost, 32 for each implicit step.
+    assert 32 * int(jnp.sum(first.state.counters.steps[:2])) > 1024
     other = radial(NODES, seed=0, sweeps=5, speed=0.02, radius=0.0715, material=Material(thickness=3e-4))
     faster = simulate(other.scene, initial_state(other.scene, other.x), 0.004, solver=solver(3e-4))
     assert faster.result == "success"
@@ -93,16 +94,17 @@ def _equations(jaxpr):
                 yield from _equations(inner)
 
 
-def origins(scene, x):
-    """Number of operations by the files of the package that brought them in, and by name."""
+def origins(scene, x, scheme="hybrid"):
+    """Number of operations by the files and functions of the package that brought them in, and by name."""
     traced = eqx.filter_make_jaxpr(integrate)
-    jaxpr, _, _ = traced(scene, initial_state(scene, x), jnp.asarray(1.0), solver())
-    files, names = collections.Counter(), collections.Counter()
+    jaxpr, _, _ = traced(scene, initial_state(scene, x), jnp.asarray(1.0), solver(scheme=scheme))
+    places, names = collections.Counter(), collections.Counter()
     for equation in _equations(jaxpr.jaxpr):
-        frames = equation.source_info.traceback.frames
-        files.update({Path(f.file_name).name for f in frames if "jaxcrumple" in f.file_name})
+        frames = [f for f in equation.source_info.traceback.frames if "jaxcrumple" in f.file_name]
+        files = {Path(f.file_name).name for f in frames}
+        places.update(files | {f.function_name.rpartition(".")[2] for f in frames})
         names[equation.primitive.name] += 1
-    return files, names
+    return places, names
 
 
 def test_absent_terms_leave_no_operation():
@@ -121,18 +123,43 @@ def test_absent_terms_leave_no_operation():
     assert bare_names.total() < all_names.total() - with_terms["plasticity.py"]
 
 
+def test_absent_stages_leave_no_operation():
+    scene, x = setup().scene, setup().x
+    inertia, pair, explicit = ("two_step",), ("pair.py",), ("first_stages", "_explicit_stage")
+    absent = {
+        "hybrid": pair,
+        "dynamic": pair + explicit,
+        "quasistatic": inertia + pair + explicit,
+        "explicit": (*inertia, *pair, "variable_order.py", "newton.py", "block_cg.py", "residual"),
+        "paper": (*inertia, "variable_order.py"),
+    }
+    present = {
+        "hybrid": (*inertia, "variable_order.py"),
+        "dynamic": (*inertia, "variable_order.py"),
+        "quasistatic": ("variable_order.py",),
+        "explicit": explicit,
+        "paper": pair + explicit,
+    }
+    for scheme in SCHEMES:
+        places, _ = origins(scene, x, scheme)
+        for place in absent[scheme]:
+            assert places[place] == 0, (scheme, place)
+        for place in present[scheme]:
+            assert places[place] > 3, (scheme, place)
+
+
 # --- Stages --------------------------------------------------------------------------------------
 
 
-def test_a_snap_switches_to_dynamics_and_back():
+def test_a_snap_switches_to_inertia_and_back():
     solution = snap()
     assert solution.result == "success"
     events = solution.events
-    assert events["origin"].tolist() == ["quasistatic", "dynamic"]
-    assert events["to"].tolist() == ["dynamic", "quasistatic"]
+    assert events["origin"].tolist() == ["quasistatic", "implicit"]
+    assert events["to"].tolist() == ["implicit", "quasistatic"]
     assert int(solution.state.counters.switches) == 2
     assert int(solution.state.stage) == QUASISTATIC
-    assert int(solution.state.counters.dynamic) > 100
+    assert int(solution.state.counters.steps[IMPLICIT]) > 10
     assert events["acceleration_mean"][0] > 1e-5
     assert events["acceleration_mean"][1] < 3e-6
     assert events["t"][1] - events["t"][0] >= 1e-3
@@ -152,20 +179,24 @@ def test_frames_and_history_tell_the_run():
     steps = history[history["kind"] == 0]
     assert np.all(np.diff(history["t"]) >= 0)
     assert steps["t"].iloc[-1] == pytest.approx(SNAP_END, rel=1e-12)
-    assert set(steps["stage"]) == {"quasistatic", "dynamic"}
-    assert history["quasistatic_steps"].iloc[-1] == int(solution.state.counters.quasistatic)
-    assert np.sum((history["kind"] == 0) & (history["stage"] == "quasistatic")) == int(
-        solution.state.counters.quasistatic
-    )
+    assert set(steps["stage"]) == {"quasistatic", "implicit"}
+    for stage, count in zip(STAGES, solution.state.counters.steps, strict=True):
+        assert history[f"{stage}_steps"].iloc[-1] == int(count)
+        if stage != "explicit":
+            assert np.sum(steps["stage"] == stage) == int(count)
+    assert history["factors"].iloc[-1] == int(solution.state.counters.factors)
+    assert 0 < int(solution.state.counters.factors) <= int(solution.state.counters.newton)
+    assert set(steps["order"][steps["stage"] == "implicit"]) == {2}
+    assert steps["order"].iloc[0] == 1
+    assert steps["order"].max() > 2
 
 
 def test_quasistatic_only_never_switches():
-    options = solver(switch=Switch(enabled=False))
-    solution = simulate(setup().scene, start(), SNAP_END, solver=options)
+    solution = simulate(setup().scene, start(), SNAP_END, solver=solver(scheme="quasistatic"))
     assert solution.result == "success"
     assert len(solution.events) == 0
     counters = solution.state.counters
-    assert (int(counters.switches), int(counters.dynamic)) == (0, 0)
+    assert (int(counters.switches), *counters.steps[1:]) == (0, 0, 0)
     assert set(solution.history["stage"]) == {"quasistatic"}
     # Inertia is a small correction even in this snap.
     assert np.max(np.abs(solution.state.x - snap().state.x)) < 0.1 * np.max(
@@ -178,7 +209,7 @@ def test_quasistatic_only_never_switches():
 
 def test_budgets_end_a_run_that_can_go_on():
     scene = setup().scene
-    halted = simulate(scene, start(), SNAP_END, solver=solver(), max_attempts=40)
+    halted = simulate(scene, start(), SNAP_END, solver=solver(), max_attempts=20)
     assert halted.result == "budget"
     assert "resume" in halted.message
     assert 0 < float(halted.state.t) < SNAP_END
@@ -191,7 +222,7 @@ def test_budgets_end_a_run_that_can_go_on():
 
 def test_throw_raises_with_the_solution():
     with pytest.raises(SimulationError, match=r"budget: the budget .* resume") as caught:
-        simulate(setup().scene, start(), SNAP_END, solver=solver(), max_attempts=40, throw=True)
+        simulate(setup().scene, start(), SNAP_END, solver=solver(), max_attempts=20, throw=True)
     assert caught.value.solution.result == "budget"
     assert np.all(np.isfinite(caught.value.solution.state.x))
     assert simulate(setup().scene, start(), 1e-5, solver=solver(), throw=True).result == "success"
@@ -339,9 +370,8 @@ def test_vmap_over_wall_speeds_equals_single_runs():
     single = [simulate(with_speed(scene, s), state, SNAP_END, solver=solver()).state for s in speeds]
     for lane, alone in enumerate(single):
         np.testing.assert_allclose(both.t[lane], SNAP_END, rtol=1e-14)
-        assert int(both.counters.dynamic[lane]) == int(alone.counters.dynamic)
-        assert int(both.counters.quasistatic[lane]) == int(alone.counters.quasistatic)
+        np.testing.assert_array_equal(both.counters.steps[lane], alone.counters.steps)
         np.testing.assert_allclose(both.x[lane], alone.x, atol=1e-9)
         np.testing.assert_allclose(both.p[lane], alone.p, atol=1e-9)
-        assert int(alone.counters.dynamic) > 0
+        assert int(alone.counters.steps[IMPLICIT]) > 0
     assert float(jnp.max(jnp.abs(both.x[0] - both.x[1]))) > 1e-6

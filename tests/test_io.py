@@ -49,7 +49,7 @@ def fill(folder, mesh, frames=3):
         saved.append(Frame(index / 3, x, v, rng.normal(size=len(mesh.hinges))))
         folder.save_frame(index, *saved[-1])
         folder.append_history(COLUMNS, rows(2 * index, 2))
-        folder.append_events([{"t": index / 3, "from": "quasistatic", "to": "dynamic"}])
+        folder.append_events([{"t": index / 3, "from": "quasistatic", "to": "implicit"}])
     return saved
 
 
@@ -146,9 +146,9 @@ def test_run_round_trips(folder, mesh):
     assert run.config["nodes"] == 60
     assert list(run.history.columns) == COLUMNS
     assert run.history["t"].tolist() == (np.arange(6) / 7).tolist()  # to the last digit
-    assert run.history["stage"].tolist() == ["quasistatic", "dynamic"] * 3
+    assert run.history["stage"].tolist() == ["quasistatic", "implicit"] * 3
     assert run.history["quasistatic_steps"].dtype.kind == run.history["kind"].dtype.kind == "i"
-    assert run.events["to"].tolist() == ["dynamic"] * 3
+    assert run.events["to"].tolist() == ["implicit"] * 3
 
 
 def test_elastic_run_keeps_its_rest_curvature(folder, mesh):
@@ -219,7 +219,7 @@ def test_history_keeps_its_columns(folder):
 def test_stages_may_be_words(folder):
     numbers = rows(0, 3)
     words = numbers.astype(object)
-    words[:, COLUMNS.index("stage")] = ["quasistatic", "dynamic", "quasistatic"]
+    words[:, COLUMNS.index("stage")] = ["quasistatic", "implicit", "quasistatic"]
     folder.append_history(COLUMNS, numbers)
     first = folder.history.path.read_bytes()
     folder.rewind(0, 0, 0)
@@ -301,7 +301,7 @@ def test_no_space_is_told_and_harmless(folder, mesh, monkeypatch):
         lambda: folder.save_frame(9, 1.0, mesh.vertices, mesh.vertices, None),
         lambda: folder.write_summary({}),
         lambda: folder.append_history(COLUMNS, rows(9, 3)),
-        lambda: folder.append_events([{"t": 9.0, "from": "quasistatic", "to": "dynamic"}]),
+        lambda: folder.append_events([{"t": 9.0, "from": "quasistatic", "to": "implicit"}]),
         lambda: folder.append_events([{"new": 1}]),
     ]
     for write in writes:

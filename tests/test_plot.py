@@ -36,7 +36,7 @@ def history():
     table["h"] = np.geomspace(1e-6, 1e-2, count)
     table["acceleration_mean"] = np.geomspace(1e-3, 1e-10, count)
     table["bending"], table["kinetic"] = 1e-3 * table["t"], 1e-15
-    table["stage"] = ["dynamic"] * 20 + ["quasistatic"] * 20
+    table["stage"] = ["implicit"] * 20 + ["quasistatic"] * 20
     table.loc[19, "kind"], table.loc[20, "kind"] = BEFORE, AFTER
     return table
 
@@ -106,7 +106,7 @@ def test_steps(tmp_path, history, monkeypatch):
     assert top.get_ylabel() == "step $h$ [s]"
     assert sum(line.get_linestyle() == "--" for line in bottom.lines) == 2
     assert "1 switches" in [text.get_text() for text in figures[0].legends[0].get_texts()]
-    events = pd.DataFrame({"t": [0.1, 0.5, 0.7], "to": ["dynamic", "quasistatic", None]})
+    events = pd.DataFrame({"t": [0.1, 0.5, 0.7], "to": ["implicit", "quasistatic", None]})
     plot.plot_steps(history, events, path=path)
     assert "2 switches" in [text.get_text() for text in figures[1].legends[0].get_texts()]
 

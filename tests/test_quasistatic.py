@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import Array
-from lattice import SPACING, advance, constants, held, lattice, solver, start, strip_scene, with_terms
+from lattice import SPACING, advance, constants, held, lattice, solver, strip_scene, with_terms
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
@@ -17,7 +17,16 @@ from jaxcrumple.model.confinement import Ramp, Sphere
 from jaxcrumple.model.loads import AbstractMotion, Prescribed
 from jaxcrumple.model.scene import sheet
 from jaxcrumple.solvers.bdf import coefficients
-from jaxcrumple.system import HISTORY, QUASISTATIC, History, implicit_step, linearize, residual, tangent
+from jaxcrumple.system import (
+    HISTORY,
+    History,
+    QUASISTATIC,
+    implicit_step,
+    initial_state,
+    linearize,
+    residual,
+    tangent,
+)
 
 C0, GAMMA = 0.3, 1.0
 
@@ -66,7 +75,7 @@ def folding(curvature, rate=0.0, since=0.0):
 
 
 def hinge_start(scene):
-    return start(scene, scene.prescribed.motion(jnp.asarray(0.0)))
+    return initial_state(scene, scene.prescribed.motion(jnp.asarray(0.0)))
 
 
 def flow(c, p):
@@ -185,10 +194,10 @@ def crumpled_step(damping):
     scene = sheet(mesh, material, walls=[wall], prescribed=held(mask, x), damping=damping)
     past = x + 1e-4 * rng.normal(size=(HISTORY, *x.shape))
     p = 0.5 * rng.normal(size=len(mesh.hinges)) + 0.01 * rng.normal(size=(HISTORY, len(mesh.hinges)))
-    history = History(
-        jnp.asarray(past), jnp.asarray(p), jnp.array([2e-5, 1.5e-5, 3e-5, 1e-5]), jnp.asarray(4)
-    )
-    alpha, beta_h = coefficients(jnp.asarray(1.8e-5), history.steps, jnp.asarray(3))
+    steps = jnp.array([2e-5, 1.5e-5, 3e-5, 1e-5, 2e-5, 1e-5])
+    velocities, order = jnp.asarray(rng.normal(size=(2, *x.shape))), jnp.asarray(3)
+    history = History(jnp.asarray(past), velocities, jnp.asarray(p), steps, jnp.asarray(4), order)
+    alpha, beta_h = coefficients(jnp.asarray(1.8e-5), steps, order)
     return scene, implicit_step(scene, history, alpha, beta_h, jnp.asarray(0.01)), jnp.asarray(x)
 
 
@@ -243,7 +252,7 @@ def test_bent_strip_relaxes_at_the_rate_of_its_slowest_mode():
     mesh, scene = strip_scene()
     drag = 3e6
     scene = with_terms(scene, drag=drag)
-    stiffness = tangent(scene, start(scene, mesh.vertices)).toarray()
+    stiffness = tangent(scene, initial_state(scene, mesh.vertices)).toarray()
     squared, shapes = np.linalg.eigh(stiffness / constants(scene)[2])
     assert np.all(np.abs(squared[:6]) < 1e-6 * squared[6])
     # No mass: b_iso dx/dt = -K x.
@@ -251,7 +260,7 @@ def test_bent_strip_relaxes_at_the_rate_of_its_slowest_mode():
     assert np.sum(shape[:, 2] ** 2) == pytest.approx(1.0)
     # So little bending that the strip does not stretch: that would relax at once, within a first step.
     bend = 1e-4 * SPACING / np.abs(shape).max() * shape
-    state = start(scene, mesh.vertices + bend, -rate * bend)
+    state = initial_state(scene, mesh.vertices + bend, -rate * bend)
     for t in (0.5 / rate, 2.0 / rate):
         state = advance(scene, state, t, solver(1e-8))
         left = np.sum(shape * (np.asarray(state.x) - mesh.vertices)) / np.sum(shape * bend)

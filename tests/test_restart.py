@@ -98,7 +98,7 @@ def test_two_runs_are_equal(undisturbed):
     assert_same_run(folder.with_name("again"), folder)
     # It has both stages, and plastic flow: else the test below would show little.
     assert summary["switches"] >= 2
-    assert summary["steps"]["dynamic"] > 100
+    assert summary["steps"]["implicit"] > 10
     with np.load(folder / "checkpoint.npz") as file:
         assert np.max(np.abs(file[".p"])) > 1e-3
 

@@ -6,13 +6,13 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from lattice import CELL, SPACING, constants, elastic, lattice, start
+from lattice import CELL, SPACING, constants, elastic, lattice
 from scipy.sparse.linalg import eigsh
 
 from jaxcrumple.meshgen import rectangle
 from jaxcrumple.model.scene import sheet
 from jaxcrumple.solvers.explicit import STABILITY, stability_limit
-from jaxcrumple.system import mass_matrix, tangent
+from jaxcrumple.system import initial_state, mass_matrix, tangent
 
 # RK4 is stable on the imaginary axis up to 2 sqrt 2.
 RK4_LIMIT = np.sqrt(8.0)
@@ -28,7 +28,7 @@ def patch():
     """Mesh, scene and stiffness matrix of a flat patch."""
     mesh = lattice(9, 8)
     scene = sheet(mesh, elastic())
-    return mesh, scene, tangent(scene, start(scene, mesh.vertices))
+    return mesh, scene, tangent(scene, initial_state(scene, mesh.vertices))
 
 
 def interior(mesh, layers):
@@ -136,7 +136,7 @@ def shapes():
 @pytest.mark.parametrize("shape", ["flat", "shaken", "rolled", "crumpled"])
 def test_stability_limit_bounds_the_largest_frequency_tightly(shape):
     _, scene = random_sheet()
-    state = start(scene, shapes()[shape])
+    state = initial_state(scene, shapes()[shape])
     omega = np.sqrt(
         eigsh(
             tangent(scene, state), k=1, M=mass_matrix(scene).tocsc(), which="LA", return_eigenvectors=False
