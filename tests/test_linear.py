@@ -21,18 +21,21 @@ from jaxcrumple.solvers import choice
 from jaxcrumple.solvers.block_cg import BlockCG
 from jaxcrumple.solvers.choice import choose_linear_solver, direct_available
 from jaxcrumple.solvers.direct import Direct
+from jaxcrumple.solvers.linear import linear_solve
 from jaxcrumple.solvers.relax import relax
+from jaxcrumple.solvers.two_level import TwoLevel
 from jaxcrumple.system import elastic_tangent, initial_state, tangent
 
 needs_direct = pytest.mark.skipif(not direct_available(), reason="needs the extra `direct`")
-SOLVERS = [pytest.param(Direct(), marks=needs_direct, id="direct"), pytest.param(BlockCG(), id="block-cg")]
+ITERATIVE = [pytest.param(BlockCG(), id="block-cg"), pytest.param(TwoLevel(), id="two-level")]
+SOLVERS = [pytest.param(Direct(), marks=needs_direct, id="direct"), *ITERATIVE]
 
 
 @eqx.filter_jit
-def solve(solver, pattern, values, rhs):
+def solve(solver, pattern, values, rhs, rtol=1e-8):
     """Factor `values` and solve."""
     factor = solver.factor(pattern, values, solver.start(pattern))
-    return factor, solver.solve(pattern, factor, rhs)
+    return factor, solver.solve(pattern, factor, values, rhs, rtol)
 
 
 def matrix(pattern, values):
@@ -101,7 +104,7 @@ def random_blocks():
     nodes += np.swapaxes(nodes, 1, 2)
     for i, block in enumerate(nodes):
         dense[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += block
-    return build_pattern(mesh.n_nodes, stencils), elements, jnp.asarray(nodes), dense
+    return build_pattern(mesh.vertices, stencils), elements, jnp.asarray(nodes), dense
 
 
 def test_assembly_adds_up_every_block():
@@ -119,6 +122,14 @@ def test_product_is_that_of_the_symmetric_matrix():
     np.testing.assert_allclose(product, dense @ x, atol=1e-12)
 
 
+def test_expanded_product_is_the_same():
+    pattern, elements, nodes, dense = random_blocks()
+    x = np.random.default_rng(6).normal(size=len(dense))
+    rows = jax.jit(lambda e, n: pattern.expand(pattern.assemble(e, n)))(elements, nodes)
+    assert rows.shape == (len(dense) // 3, 3, 3 * pattern.neighbors.shape[1])
+    np.testing.assert_allclose(pattern.expanded_product(rows, jnp.asarray(x)), dense @ x, atol=1e-12)
+
+
 # --- Solutions -----------------------------------------------------------------------------------
 
 
@@ -132,20 +143,19 @@ def test_direct_solves_to_rounding():
 
 
 @needs_direct
-def test_direct_solves_indefinite_systems_and_counts():
+def test_direct_counts_negative_eigenvalues():
     pattern, values, eigenvalues, rhs = compressed()
     factor, solution = solve(Direct(), pattern, values, rhs)
-    exact = spsolve(matrix(pattern, values), np.asarray(rhs))
-    assert np.linalg.norm(solution.x - exact) < 1e-8 * np.linalg.norm(exact)
     assert np.sum(eigenvalues < 0) > 5
     assert int(factor.negative) == np.sum(eigenvalues < 0)
     assert bool(solution.indefinite)
 
 
+@pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("rtol", [1e-4, 1e-8])
-def test_conjugate_gradients_reach_their_tolerance(rtol):
+def test_every_solver_reaches_its_tolerance(solver, rtol):
     pattern, values, rhs = crumpled()
-    _, solution = solve(BlockCG(rtol=rtol), pattern, values, rhs)
+    _, solution = solve(solver, pattern, values, rhs, rtol)
     a = matrix(pattern, values)
     assert not bool(solution.indefinite)
     # The recursive residual is what CG sees; the true one follows it but for rounding.
@@ -184,6 +194,60 @@ def test_iterations_are_bounded():
     assert np.all(np.isfinite(solution.x))
 
 
+def stiffened(values, pattern, share):
+    """Values of a matrix near that of `values`: its diagonal grown by `share`."""
+    return values.at[pattern.diagonal].multiply(1.0 + share)
+
+
+@needs_direct
+def test_a_factor_of_other_values_is_a_preconditioner():
+    pattern, values, rhs = crumpled()
+    solver = Direct()
+    factor, _ = solve(solver, pattern, values, rhs)
+    near = stiffened(values, pattern, 1e-6)
+    lagged = eqx.filter_jit(solver.solve)(pattern, factor, near, rhs, 1e-8)
+    exact = spsolve(matrix(pattern, near), np.asarray(rhs))
+    assert 1 < int(lagged.iterations) < 40
+    assert np.linalg.norm(lagged.x - exact) < 1e-5 * np.linalg.norm(exact)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_derivatives_follow_from_the_implicit_function_theorem(solver):
+    pattern, values, rhs = crumpled()
+    rng = np.random.default_rng(3)
+    d_values = values * jnp.asarray(rng.normal(size=values.shape))
+    d_rhs, cotangent = jnp.asarray(rng.normal(size=(2, rhs.shape[0])))
+    a, da = matrix(pattern, values), matrix(pattern, d_values)
+    x = spsolve(a, np.asarray(rhs))
+    expected = spsolve(a, np.asarray(d_rhs) - da @ x)
+
+    @eqx.filter_jit
+    def forward(v, b, dv, db):
+        return jax.jvp(lambda v, b: linear_solve(solver, pattern, v, b, 1e-11), (v, b), (dv, db))
+
+    @eqx.filter_jit
+    def reverse(v, b, y):
+        return jax.vjp(lambda v, b: linear_solve(solver, pattern, v, b, 1e-11), v, b)[1](y)
+
+    primal, tangent_out = forward(values, rhs, d_values, d_rhs)
+    assert np.linalg.norm(primal - x) < 1e-6 * np.linalg.norm(x)
+    assert np.linalg.norm(tangent_out - expected) < 1e-5 * np.linalg.norm(expected)
+    by_values, by_rhs = reverse(values, rhs, cotangent)
+    both = float(by_values @ d_values + by_rhs @ d_rhs)
+    assert both == pytest.approx(float(cotangent @ expected), rel=1e-5)
+
+
+@pytest.mark.parametrize("solver", ITERATIVE)
+def test_iterative_solvers_run_in_batches(solver):
+    pattern, values, rhs = crumpled()
+    shares = jnp.array([0.0, 1e-3, 1e-2])
+    batch = jax.vmap(lambda s: stiffened(values, pattern, s))(shares)
+    run = jax.vmap(lambda v: linear_solve(solver, pattern, v, rhs, 1e-10))
+    for lane, x in zip(batch, jax.jit(run)(batch), strict=True):
+        exact = spsolve(matrix(pattern, lane), np.asarray(rhs))
+        assert np.linalg.norm(x - exact) < 1e-5 * np.linalg.norm(exact)
+
+
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_values_that_are_not_finite_are_reported(solver, bad):
@@ -193,7 +257,7 @@ def test_values_that_are_not_finite_are_reported(solver, bad):
     assert bool(solution.indefinite)
     # The workspace survives: the next, sound matrix is solved as ever.
     renewed = eqx.filter_jit(lambda p, v, f: solver.factor(p, v, f))(pattern, values, factor)
-    again = eqx.filter_jit(lambda p, f, b: solver.solve(p, f, b))(pattern, renewed, rhs)
+    again = eqx.filter_jit(solver.solve)(pattern, renewed, values, rhs, 1e-6)
     assert not bool(again.indefinite)
     assert np.linalg.norm(matrix(pattern, values) @ np.asarray(again.x) - rhs) < 1e-5 * np.linalg.norm(rhs)
 
@@ -209,15 +273,16 @@ def test_a_right_hand_side_that_is_not_finite_gives_no_answer(solver):
 
 
 def test_choice_of_solver(monkeypatch):
-    with pytest.raises(ValueError, match="'lu' is unknown; choose auto, direct or block-cg"):
+    with pytest.raises(ValueError, match="'lu' is unknown; choose one of auto, direct, two-level, block-cg"):
         choose_linear_solver("lu")
     assert isinstance(choose_linear_solver("block-cg"), BlockCG)
     monkeypatch.setattr(choice, "direct_available", lambda: True)
     assert isinstance(choose_linear_solver("auto"), Direct)
     assert isinstance(choose_linear_solver("direct"), Direct)
     monkeypatch.setattr(choice, "direct_available", lambda: False)
-    assert isinstance(choose_linear_solver("auto"), BlockCG)
-    with pytest.raises(ValueError, match=r"needs the extra: pip install 'jaxcrumple\[direct\]'"):
+    assert isinstance(choose_linear_solver("auto"), TwoLevel)
+    assert isinstance(choose_linear_solver("two-level"), TwoLevel)
+    with pytest.raises(ValueError, match=r"needs the extra, pip install 'jaxcrumple\[direct\]'"):
         choose_linear_solver("direct")
 
 

@@ -19,8 +19,8 @@ from jaxcrumple.model.scene import sheet
 from jaxcrumple.solvers.bdf import coefficients
 from jaxcrumple.system import (
     HISTORY,
-    History,
     QUASISTATIC,
+    History,
     implicit_step,
     initial_state,
     linearize,

@@ -1,0 +1,147 @@
+"""The coarse space and the two-level solver against dense matrices, on several kinds of mesh."""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxcrumple import Material, disc, radial, rectangle, sheet
+from jaxcrumple.model.coarse import build_coarse_space
+from jaxcrumple.solvers.block_cg import BlockCG
+from jaxcrumple.solvers.two_level import TwoLevel, coarse_matrix
+from jaxcrumple.system import elastic_tangent
+
+# Shift of the stiffness in 1/s2: that of quasistatic steps of some milliseconds.
+SIGMA = 1e5
+
+
+def shell(n):
+    """A quarter of a cylinder."""
+    flat = rectangle(0.06, 0.04, n, seed=2, sweeps=20)
+    angle = flat.vertices[:, 0] / 0.04
+    bent = np.stack([0.04 * np.sin(angle), flat.vertices[:, 1], 0.04 * np.cos(angle)], axis=1)
+    return flat.with_rest_shape(bent)
+
+
+MESHES = {
+    "sheet": lambda n: rectangle(0.1, 0.1, n, seed=1, sweeps=20),
+    "strip": lambda n: rectangle(0.2, 0.03, n, seed=1, sweeps=20),
+    "disc": lambda n: disc(0.05, n, seed=1),
+    "shell": shell,
+}
+
+
+@functools.cache
+def system(kind, n):
+    """Pattern, positive definite values of a dented, stretched sheet, and a random right-hand side."""
+    mesh = MESHES[kind](n)
+    scene = sheet(mesh, Material(yield_curvature=None))
+    x = 1.02 * mesh.vertices + 5e-5 * np.sin(300 * mesh.vertices[:, [1, 2, 0]])
+    values = eqx.filter_jit(elastic_tangent)(scene, jnp.asarray(x), None, jnp.asarray(0.0), 50 * SIGMA)
+    rhs = jnp.asarray(np.random.default_rng(0).normal(size=3 * mesh.n_nodes))
+    return scene.pattern, values, rhs
+
+
+@eqx.filter_jit
+def solve(solver, pattern, values, rhs, rtol):
+    """Factor and solve."""
+    factor = solver.factor(pattern, values, solver.start(pattern))
+    return factor.negative, solver.solve(pattern, factor, values, rhs, rtol)
+
+
+def splines(space, n):
+    """The coarse space as a dense matrix (n, size) from the definition of its members."""
+    dense = np.zeros((n, space.size + 1))
+    weights = np.asarray(space.weights)
+    for cell, nodes in enumerate(np.asarray(space.members)):
+        for node in nodes[nodes < n]:
+            product = np.outer(weights[node, 0], weights[node, 1]).reshape(-1)
+            np.add.at(dense[node], np.asarray(space.functions)[cell], product)
+    assert np.all(dense[:, -1] == 0)
+    return dense[:, :-1]
+
+
+@pytest.mark.parametrize("kind", MESHES)
+def test_splines_hold_every_linear_displacement(kind):
+    mesh = MESHES[kind](200)
+    space = build_coarse_space(mesh.vertices, mesh.edges)
+    z = splines(space, mesh.n_nodes)
+    np.testing.assert_allclose(z.sum(axis=1), 1.0, atol=1e-12)
+    centred = mesh.vertices - mesh.vertices.mean(axis=0)
+    _, directions = np.linalg.eigh(centred.T @ centred)
+    for along in (centred @ directions[:, 2], centred @ directions[:, 1]):
+        fit = z @ np.linalg.lstsq(z, along, rcond=None)[0]
+        np.testing.assert_allclose(fit, along, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", MESHES)
+def test_coarse_matrix_is_the_galerkin_product(kind):
+    pattern, values, _ = system(kind, 200)
+    n = pattern.neighbors.shape[0]
+    z = np.kron(splines(pattern.coarse, n), np.eye(3))
+    upper = np.zeros((3 * n, 3 * n))
+    upper[np.asarray(pattern.rows), np.asarray(pattern.indices)] = values
+    dense = upper + np.triu(upper, 1).T
+    expected = z.T @ dense @ z
+    got = np.asarray(jax.jit(coarse_matrix)(pattern, values))
+    np.testing.assert_allclose(got, expected, atol=1e-10 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("kind", MESHES)
+def test_few_iterations_on_every_mesh(kind):
+    pattern, values, rhs = system(kind, 400)
+    negative, two = solve(TwoLevel(), pattern, values, rhs, 1e-6)
+    _, one = solve(BlockCG(), pattern, values, rhs, 1e-6)
+    assert (int(negative), bool(two.indefinite)) == (-1, False)
+    residual = np.linalg.norm(pattern.product(values, two.x) - rhs) / np.linalg.norm(rhs)
+    assert residual < 1.1e-6
+    assert int(two.iterations) < int(one.iterations)
+    assert int(two.iterations) < 120
+
+
+def test_iterations_hardly_grow_with_the_mesh_and_are_far_fewer():
+    counts = []
+    for n in (500, 2000):
+        setup = radial(n, sweeps=20)
+        scene = setup.scene
+        values = eqx.filter_jit(elastic_tangent)(
+            scene, setup.x, scene.bending.rest_curvature, jnp.asarray(0.0), SIGMA
+        )
+        rhs = jnp.asarray(np.random.default_rng(0).normal(size=3 * n))
+        two, one = (
+            int(solve(s, scene.pattern, values, rhs, 1e-2)[1].iterations) for s in (TwoLevel(), BlockCG())
+        )
+        assert 5 * two < one
+        counts.append(two)
+    assert counts[1] < 2 * counts[0]
+
+
+def test_a_preconditioner_serves_the_next_matrix():
+    pattern, values, rhs = system("sheet", 400)
+    solver = TwoLevel()
+    factor = eqx.filter_jit(lambda p, v: solver.factor(p, v, solver.start(p)))(pattern, values)
+    near = values.at[pattern.diagonal].multiply(1.0 + 1e-4)
+    own = int(solve(solver, pattern, near, rhs, 1e-6)[1].iterations)
+    lagged = eqx.filter_jit(solver.solve)(pattern, factor, near, rhs, 1e-6)
+    assert int(lagged.iterations) < 1.3 * own + 3
+    residual = np.linalg.norm(pattern.product(near, lagged.x) - rhs) / np.linalg.norm(rhs)
+    assert residual < 1.1e-6
+
+
+def test_new_numbers_do_not_compile_again():
+    pattern, values, rhs = system("sheet", 200)
+    traces = []
+
+    @eqx.filter_jit
+    def run(pattern, values, rhs):
+        traces.append(1)
+        solver = TwoLevel()
+        factor = solver.factor(pattern, values, solver.start(pattern))
+        return solver.solve(pattern, factor, values, rhs, 1e-3).x
+
+    run(pattern, values, rhs)
+    run(pattern, 2.0 * values, rhs + 1.0)
+    assert len(traces) == 1
