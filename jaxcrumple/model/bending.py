@@ -1,27 +1,21 @@
 """Out-of-plane elasticity: hinges with a rest curvature (Sections 2.2 and 2.6)."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxcrumple.model.geometry import (
-    HINGE_PAIRS,
     Hinge,
-    Vec,
     curvature,
     gather,
     hinge,
     hinge_gradient,
     hinge_hessian,
-    scale,
 )
 from jaxcrumple.model.stencil import scatter
 
 # The smooth stop that keeps faces from passing through each other acts beyond this angle.
 FOLD_STOP = jnp.pi * 170.0 / 180.0
-# Hinges per pass of the Hessian kernel: its temporaries stay in the second-level cache.
-CHUNK = 256
 
 
 def fold_stop(theta: Array) -> Array:
@@ -80,16 +74,11 @@ class Bending(eqx.Module):
         """Bending energy in J (eq. 31)."""
         return jnp.sum(self.element_energy(x, p))
 
-    def _torque(self, theta: Array, p: Array) -> Array:
-        stop, _ = stop_derivatives(theta)
-        return self.stiffness * ((curvature(theta) - p) * jnp.cos(0.5 * theta) + stop)
-
     def force(self, hinges: Hinge, p: Array, n: int) -> Array:
         """Nodal forces (n, 3) in N from the hinges' geometry; minus the gradient of `energy`."""
-        gradient = hinge_gradient(hinges)
-        torque = -self._torque(hinges.theta, p)
-        vectors = tuple(scale(torque, g) for g in (gradient.g0, gradient.g1, gradient.g2, gradient.g3))
-        return scatter(self.nodes, vectors, n)
+        torque, _ = self._derivatives(hinges.theta, p, 0.0)
+        gradient = hinge_gradient(hinges, -torque)
+        return scatter(self.nodes, (gradient.g0, gradient.g1, gradient.g2, gradient.g3), n)
 
     def blocks(self, x: Array, p: Array, softening: Array | None) -> Array:
         """Element Hessians (10, 3, 3, h) in N/m, blocks ordered as `upper_pairs(4)`.
@@ -97,38 +86,14 @@ class Bending(eqx.Module):
         `softening` (h,) is dp/dc of the implicit plastic update (PHYSICS: $\\beta h f'/(1 + \\beta h f')$),
         which lowers the stiffness along the gradient of c; None for an elastic sheet.
         """
-        corners = gather(x, self.nodes)
-        loss = jnp.zeros_like(p) if softening is None else softening
-        operands = (corners, p, self.stiffness, loss)
-        count = self.nodes.shape[0]
-        chunks = -(-count // CHUNK)
-        if chunks == 1:
-            return hinge_blocks(*operands)
-        # Pad with copies of the first hinge, whose geometry is sound; the tail is dropped.
-        pad = chunks * CHUNK - count
+        hinges = self.hinges(x)
+        first, second = self._derivatives(hinges.theta, p, 0.0 if softening is None else softening)
+        return hinge_hessian(hinges, first, second)
 
-        def split(a: Array) -> Array:
-            return jnp.concatenate([a, jnp.broadcast_to(a[:1], (pad,))]).reshape(chunks, CHUNK)
-
-        blocks = jax.lax.map(lambda part: hinge_blocks(*part), jax.tree.map(split, operands))
-        return jnp.moveaxis(blocks, 0, -2).reshape(10, 3, 3, -1)[..., :count]
-
-
-def hinge_blocks(corners: tuple[Vec, ...], p: Array, stiffness: Array, softening: Array) -> Array:
-    """Hessian of `hinge_energy` by the four corners, p following c with slope `softening`."""
-    geometry = hinge(*corners)
-    gradient = hinge_gradient(geometry)
-    theta = geometry.theta
-    stop1, stop2 = stop_derivatives(theta)
-    slope = jnp.cos(0.5 * theta)
-    elastic = curvature(theta) - p
-    first = stiffness * (elastic * slope + stop1)
-    second = stiffness * ((1.0 - softening) * slope * slope - 0.25 * elastic * curvature(theta) + stop2)
-    # Arrays (3, m) rather than tuples from here on: their outer products are single operations,
-    # which XLA on CPU compiles and runs several times faster than nine scalar ones each.
-    g = [jnp.stack(v) for v in (gradient.g0, gradient.g1, gradient.g2, gradient.g3)]
-    scaled = [second * v for v in g]
-    hessian = hinge_hessian(geometry, gradient)
-    return jnp.stack(
-        [first * h + scaled[a][:, None] * g[b] for h, (a, b) in zip(hessian, HINGE_PAIRS, strict=True)]
-    )
+    def _derivatives(self, theta: Array, p: Array, softening: Array | float) -> tuple[Array, Array]:
+        """First and second derivative of the energies by the angle, p following c with slope `softening`."""
+        stop1, stop2 = stop_derivatives(theta)
+        c, slope = curvature(theta), jnp.cos(0.5 * theta)
+        first = (c - p) * slope + stop1
+        second = (1.0 - softening) * slope * slope - 0.25 * (c - p) * c + stop2
+        return self.stiffness * first, self.stiffness * second

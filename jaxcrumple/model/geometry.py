@@ -13,7 +13,9 @@ curvature $c = 2 \\sin(\\theta/2)$: equal to eq. (33) to rounding, but smooth th
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 Vec = tuple[Array, Array, Array]
@@ -50,7 +52,12 @@ def cross(a: Vec, b: Vec) -> Vec:
 
 def outer(a: Vec, b: Vec) -> Array:
     """Outer product $a b^T$, shape (3, 3, ...)."""
-    return jnp.stack([jnp.stack([ai * bj for bj in b]) for ai in a])
+    return dyad(jnp.stack(a), jnp.stack(b))
+
+
+def dyad(a: Array, b: Array) -> Array:
+    """Outer product $a b^T$ of vectors that are arrays (3, ...), shape (3, 3, ...)."""
+    return a[:, None] * b[None]
 
 
 def gather(x: Array, nodes: Array) -> tuple[Vec, ...]:
@@ -103,7 +110,7 @@ def curvature(theta: Array) -> Array:
 
 
 class HingeGradient(NamedTuple):
-    """Gradient of the angle at the four nodes, and the parts its Hessian needs."""
+    """Gradient at the four nodes of a function of the angle, and the foot points $a_i$."""
 
     g0: Vec
     g1: Vec
@@ -111,71 +118,77 @@ class HingeGradient(NamedTuple):
     g3: Vec
     a1: Array
     a2: Array
-    inv_n1_sq: Array
-    inv_n2_sq: Array
 
 
-def hinge_gradient(hg: Hinge) -> HingeGradient:
-    """Gradient of the hinge angle.
+def hinge_gradient(hg: Hinge, slope: Array | float = 1.0) -> HingeGradient:
+    """Gradient of a function of the angle with derivative `slope`; by default of the angle itself.
 
     With $u_i = |e_0| n_i / |n_i|^2$ and the foot points $a_i = (e_i \\cdot e_0)/|e_0|^2$:
     $\\nabla_2 \\theta = -u_1$, $\\nabla_3 \\theta = -u_2$ and, by invariance under rigid motions,
     $\\nabla_1 = -a_1 \\nabla_2 - a_2 \\nabla_3$ and $\\nabla_0 = -\\nabla_1 - \\nabla_2 - \\nabla_3$.
     """
-    inv_e0_sq = 1.0 / (hg.edge_length * hg.edge_length)
-    inv_n1_sq, inv_n2_sq = 1.0 / dot(hg.n1, hg.n1), 1.0 / dot(hg.n2, hg.n2)
-    g2 = scale(-hg.edge_length * inv_n1_sq, hg.n1)
-    g3 = scale(-hg.edge_length * inv_n2_sq, hg.n2)
-    a1 = dot(hg.e1, hg.e0) * inv_e0_sq
-    a2 = dot(hg.e2, hg.e0) * inv_e0_sq
+    edge_sq = hg.edge_length * hg.edge_length
+    a1, a2 = dot(hg.e1, hg.e0) / edge_sq, dot(hg.e2, hg.e0) / edge_sq
+    # XLA on CPU keeps the result of a division but repeats a product, with all that it is made of,
+    # in each of the twelve components: so the slope, with its sine and cosine, goes into the quotient.
+    weight = -slope * hg.edge_length
+    g2 = scale(weight / dot(hg.n1, hg.n1), hg.n1)
+    g3 = scale(weight / dot(hg.n2, hg.n2), hg.n2)
     g1 = add(scale(-a1, g2), scale(-a2, g3))
     g0 = add(scale(a1 - 1.0, g2), scale(a2 - 1.0, g3))
-    return HingeGradient(g0, g1, g2, g3, a1, a2, inv_n1_sq, inv_n2_sq)
-
-
-def _symmetric(a: Array, b: Array) -> Array:
-    """$a b^T + b a^T$ of vectors (3, ...), shape (3, 3, ...)."""
-    product = a[:, None] * b[None]
-    return product + jnp.swapaxes(product, 0, 1)
-
-
-def _opposite_jacobians(g: Array, n: Vec, e0: Vec, e: Vec, factor: Array, unit: Array) -> tuple[Array, Array]:
-    """Derivatives by $e_0$ and by $e$ of $g = -|e_0| n/|n|^2$, $n = \\pm e_0 \\times e$.
-
-    `factor` is $\\pm|e_0|/|n|^4$ and `unit` is $e_0/|e_0|^2$. Both follow from
-    $d(n/|n|^2) = (I - 2 n n^T/|n|^2)\\,dn/|n|^2$ with $dn = \\pm(de_0 \\times e + e_0 \\times de)$ and
-    $[e]_\\times = (n t^T - t n^T)/|n|^2$, $t = n \\times e$, which holds because e is normal to n.
-    """
-    normal = jnp.stack(n)
-    by_e0 = -factor * _symmetric(normal, jnp.stack(cross(n, e))) + g[:, None] * unit[None]
-    by_e = factor * _symmetric(normal, jnp.stack(cross(n, e0)))
-    return by_e0, by_e
+    return HingeGradient(g0, g1, g2, g3, a1, a2)
 
 
 # Node pairs (a, b) of a hinge whose 3x3 blocks hinge_hessian returns, in this order.
 HINGE_PAIRS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3), (2, 2), (2, 3), (3, 3))
+# Derivative of e0 by the four nodes.
+_EDGE_SIGNS = np.array([-1.0, 1.0, 0.0, 0.0])
 
 
-def hinge_hessian(hg: Hinge, gr: HingeGradient) -> list[Array]:
-    """Hessian of the hinge angle: ten 3x3 blocks (3, 3, ...) in the order of `HINGE_PAIRS`.
+def hinge_hessian(hg: Hinge, first: Array, second: Array) -> Array:
+    """Hessian of a function of the angle with derivatives `first` and `second`.
 
-    Obtained by differentiating `hinge_gradient` once; rows that involve node 0 follow from
-    translation invariance, and block (2, 3) vanishes identically.
+    With the height $h$ of a face over the shared edge, unit vectors $\\hat m$ along it and $\\hat n$
+    normal to the face, $\\nabla_a \\theta = g_a = -\\sum_{faces} w_a \\hat n/h$, where w are the four
+    coefficients of `hinge_gradient`. Differentiated again, with $s_a = \\partial e_0/\\partial x_a$:
+
+    $\\nabla_a \\nabla_b \\theta = \\sum_{faces} (w_a w_b/h^2 + s_a s_b/(2|e_0|^2))
+    (\\hat n \\hat m^T + \\hat m \\hat n^T) - (s_a\\, g_b e_0^T + s_b\\, e_0 g_a^T)/|e_0|^2$.
+
+    **Returns:** the blocks (10, 3, 3, ...) of the node pairs `HINGE_PAIRS`.
     """
-    g2, g3 = jnp.stack(gr.g2), jnp.stack(gr.g3)
-    e0, e1, e2 = jnp.stack(hg.e0), jnp.stack(hg.e1), jnp.stack(hg.e2)
-    inv_e0_sq = 1.0 / (hg.edge_length * hg.edge_length)
-    unit = inv_e0_sq * e0
-    factor1 = hg.edge_length * gr.inv_n1_sq * gr.inv_n1_sq
-    factor2 = -hg.edge_length * gr.inv_n2_sq * gr.inv_n2_sq
-    j20, j21 = _opposite_jacobians(g2, hg.n1, hg.e0, hg.e1, factor1, unit)
-    j30, j32 = _opposite_jacobians(g3, hg.n2, hg.e0, hg.e2, factor2, unit)
-    da1 = inv_e0_sq * e1 - 2.0 * gr.a1 * unit
-    da2 = inv_e0_sq * e2 - 2.0 * gr.a2 * unit
-    h22, h33 = j21, j32
-    h12, h13 = jnp.swapaxes(j20, 0, 1), jnp.swapaxes(j30, 0, 1)
-    h11 = -(g2[:, None] * da1 + gr.a1 * j20 + g3[:, None] * da2 + gr.a2 * j30)
-    h01 = -(h11 + j20 + j30)
-    h02, h03 = -(h12 + h22), -(h13 + h33)
-    h00 = -(h01 + h02 + h03)
-    return [h00, h01, h02, h03, h11, h12, h13, h22, jnp.zeros_like(h22), h33]
+    gr = hinge_gradient(hg)
+    weights, shared, planes = _faces(hg, gr)
+    g = jnp.stack([jnp.stack(v) for v in (gr.g0, gr.g1, gr.g2, gr.g3)])
+    along = jnp.stack(scale(1.0 / (hg.edge_length * hg.edge_length), hg.e0))
+
+    def block(pair: tuple[Array, ...]) -> Array:
+        c, ga, gb, sa, sb = pair
+        bend = c[0] * planes[0] + c[1] * planes[1] - dyad(sa * gb, along) - dyad(sb * along, ga)
+        return first * bend + dyad(second * ga, gb)
+
+    a, b = np.array(HINGE_PAIRS).T
+    sa, sb = jnp.asarray(_EDGE_SIGNS[a], first.dtype), jnp.asarray(_EDGE_SIGNS[b], first.dtype)
+    c = weights[a] * weights[b] + jnp.multiply.outer(sa * sb, shared)
+    # A loop over the pairs rather than one expression: XLA would fuse all of the above into it and
+    # compute it again for each of the ninety entries.
+    return jax.lax.map(block, (c, g[a], g[b], sa, sb))
+
+
+def _faces(hg: Hinge, gr: HingeGradient) -> tuple[Array, Array, Array]:
+    """Of both faces: w (4, 2, ...), $h^2/(2|e_0|^2)$ (2, ...), and the symmetric plane over $h^2$.
+
+    The plane is $\\hat n \\hat m^T + \\hat m \\hat n^T$.
+    """
+    edge_sq = hg.edge_length * hg.edge_length
+    one, zero = jnp.ones_like(gr.a1), jnp.zeros_like(gr.a1)
+    foot = jnp.stack([gr.a1, gr.a2])
+    weights = jnp.stack([foot - 1.0, -foot, jnp.stack([one, zero]), jnp.stack([zero, one])])
+    shared, planes = [], []
+    for g, n, e, a in ((gr.g2, hg.n1, hg.e1, gr.a1), (gr.g3, hg.n2, hg.e2, gr.a2)):
+        height_sq = dot(n, n) / edge_sq
+        normal = jnp.stack(g)  # -n/h, as in the gradient of the angle
+        inward = jnp.stack(scale(-1.0 / height_sq, sub(e, scale(a, hg.e0))))
+        shared.append(0.5 * height_sq / edge_sq)
+        planes.append(dyad(normal, inward) + dyad(inward, normal))
+    return weights, jnp.stack(shared), jnp.stack(planes)
