@@ -1,25 +1,15 @@
 """Measured error against tolerance on `radial`, up to just before the reference's first event.
 
-Writes a table (Markdown), a plot and, with --json, the figures by name.
-
-    python scripts/bench_tolerance.py [--nodes N ...] [--seed S] [--out DIR] [--json FILE]
+python scripts/bench_tolerance.py [--nodes N ...] [--seed S] [--json FILE]
 """
 
-import argparse
-import datetime
-import importlib.metadata
-import json
-import platform
 import time
-from pathlib import Path
 
-import jax
 import numpy as np
+from benchlib import options, save
 from matplotlib.figure import Figure
 
-jax.config.update("jax_enable_x64", True)
-
-from jaxcrumple import hybrid, initial_state, radial, simulate  # noqa: E402
+from jaxcrumple import hybrid, initial_state, radial, simulate
 
 RTOLS = (1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6)
 REFERENCE = 1e-7
@@ -51,7 +41,7 @@ def measure(nodes: int, seed: int) -> dict:
                 "rtol": rtol,
                 "error": float(error.max()),
                 "error_at_end": float(error[-1]),
-                "steps": int(counters.quasistatic),
+                "steps": int(np.sum(counters.steps)),
                 "rejected": int(np.sum(counters.rejected)),
                 "newton": int(counters.newton),
                 "cpu_s": cpu,
@@ -92,7 +82,7 @@ def table(results: list[dict]) -> str:
     return "\n".join(lines)
 
 
-def draw(results: list[dict], path: Path) -> None:
+def draw(results: list[dict]) -> Figure:
     """Error against tolerance, with the diagonal."""
     figure = Figure(figsize=(5, 4), layout="constrained")
     axes = figure.add_subplot()
@@ -102,28 +92,18 @@ def draw(results: list[dict], path: Path) -> None:
     axes.loglog(RTOLS, RTOLS, "k:", label="error = rtol")
     axes.set(xlabel="rtol", ylabel="largest position error / sqrt(A)")
     axes.legend()
-    figure.savefig(path, dpi=150)
+    return figure
 
 
 def main() -> None:
     """Run the study."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--nodes", type=int, nargs="+", default=[500])
+    parser = options(__doc__, (500,))
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("runs/bench"))
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    results = [measure(nodes, options.seed) for nodes in options.nodes]
-    versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("jaxcrumple", "jax"))
-    stamp = f"{datetime.date.today()}, {versions}, {platform.processor() or platform.machine()}"
-    text = f"{table(results)}\n\n{stamp}; reference rtol {REFERENCE:g}\n"
-    (options.out / "tolerance.md").write_text(text)
-    draw(results, options.out / "tolerance.png")
-    if options.json:
-        ratios = {f"slope_{result['nodes']}": result["slope"] for result in results}
-        options.json.write_text(json.dumps({"ratios": ratios, "results": results}, indent=1))
-    print(text)
+    opts = parser.parse_args()
+    results = [measure(nodes, opts.seed) for nodes in opts.nodes]
+    ratios = {f"slope_{result['nodes']}": result["slope"] for result in results}
+    text = f"{table(results)}\n\nReference: rtol {REFERENCE:g}."
+    save(opts, "tolerance", text, draw(results), ratios, results)
 
 
 if __name__ == "__main__":

@@ -87,7 +87,8 @@ def _bracketed_root(function, start: Array, end: Array) -> Array:
         newton = p - value / slope
         # The law is flat below yield, where Newton would jump from one end of the bracket to the
         # other and back: an accepted Newton step must stay inside and be half the last one at most.
-        good = (newton > low) & (newton < high) & (jnp.abs(newton - p) <= 0.5 * jnp.abs(step))
+        # The ends belong to it: a root that is rounding away from one must not be bisected for.
+        good = (newton >= low) & (newton <= high) & (jnp.abs(newton - p) <= 0.5 * jnp.abs(step))
         new = jnp.where(good, newton, 0.5 * (low + high))
         new = jnp.where(value == 0, p, new)
         return new, low, high, new - p, count + 1
