@@ -131,6 +131,19 @@ def test_a_preconditioner_serves_the_next_matrix():
     assert residual < 1.1e-6
 
 
+def test_rounding_is_not_taken_for_negative_curvature():
+    # Blocks as large as the sheet hold its rigid motions: their inverses are beyond float32.
+    setup = radial(12, sweeps=5)
+    scene = setup.scene
+    values = eqx.filter_jit(elastic_tangent)(
+        scene, setup.x, scene.bending.rest_curvature, jnp.asarray(0.0), 1e-2
+    )
+    rhs = jnp.asarray(np.random.default_rng(0).normal(size=36))
+    negative, solution = solve(TwoLevel(), scene.pattern, values, rhs, 1e-6)
+    assert (int(negative), bool(solution.indefinite)) == (-1, False)
+    assert int(solution.iterations) < 20
+
+
 def test_new_numbers_do_not_compile_again():
     pattern, values, rhs = system("sheet", 200)
     traces = []
