@@ -1,10 +1,11 @@
 """In-plane elasticity: linear springs along the edges (Section 2.1)."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxcrumple.model.geometry import Vec, dot, gather, length, outer, scale, sub
+from jaxcrumple.model.geometry import Vec, dyad, gather, length, scale, sub
 from jaxcrumple.model.stencil import scatter
 
 
@@ -25,10 +26,14 @@ def edge_blocks(r: Vec, axial: Array, tension_per_length: Array) -> Array:
 
     `axial` is k and `tension_per_length` T/l; the three blocks are those of `upper_pairs(2)`.
     """
-    rr = outer(r, scale(1.0 / dot(r, r), r))
-    identity = jnp.eye(3).reshape(3, 3, *([1] * axial.ndim))
-    block = (axial - tension_per_length) * rr + tension_per_length * identity
-    return jnp.stack([block, -block, block])
+    direction = jnp.stack(r) / length(r)
+    across = tension_per_length * jnp.eye(3).reshape(3, 3, *([1] * axial.ndim))
+
+    def block(sign: Array) -> Array:
+        return sign * ((axial - tension_per_length) * dyad(direction, direction) + across)
+
+    # A loop for the reason given in `hinge_hessian`.
+    return jax.lax.map(block, jnp.array([1.0, -1.0, 1.0]))
 
 
 class Membrane(eqx.Module):

@@ -31,32 +31,32 @@ class BlockCG(AbstractLinearSolver):
     def start(self, pattern: Pattern) -> Factor:
         """Blocks of the identity."""
         values = identity_values(pattern)
-        return Factor(values, inverse_blocks(pattern, values, self.block_size)[0], jnp.asarray(0))
+        return Factor(values, _inverses(block_factors(pattern, values, self.block_size)[0]), jnp.asarray(0))
 
     def factor(self, pattern: Pattern, values: Array, previous: Factor) -> Factor:
         """Invert the diagonal blocks; one that is not positive definite proves the matrix indefinite."""
-        inverse, sound = inverse_blocks(pattern, values, self.block_size)
-        return Factor(values, inverse, jnp.where(sound, -1, 1))
+        lower, sound = block_factors(pattern, values, self.block_size)
+        return Factor(values, _inverses(lower), jnp.where(sound, -1, 1))
 
     def solve(
         self, pattern: Pattern, factor: Factor, values: Array, rhs: Array, rtol: Array | float
     ) -> Solution:
         """Conjugate gradients; `indefinite` is set when a direction of negative curvature appears."""
         rows = pattern.expand(values)
-        x, iterations, positive = conjugate_gradients(
+        return conjugate_gradients(
             lambda d: pattern.expanded_product(rows, d),
             lambda r: apply_blocks(factor.workspace, r),
+            factor,
             rhs,
             rtol,
             self.max_iterations,
         )
-        return Solution(x, iterations, ~positive | (factor.negative > 0))
 
 
-def inverse_blocks(pattern: Pattern, values: Array, size: int) -> tuple[Array, Array]:
-    """Inverses (b, size, size) of the dense diagonal blocks, and whether all are positive definite.
+def block_factors(pattern: Pattern, values: Array, size: int) -> tuple[Array, Array]:
+    """Cholesky factors (b, size, size) of the dense diagonal blocks, and whether all are positive definite.
 
-    The last block is filled up with the identity; where one is not definite all are the identity.
+    The last block is filled up with the identity; where one is not definite all factors are the identity.
     """
     total = pattern.diagonal.shape[0]
     count = -(-total // size)
@@ -69,15 +69,22 @@ def inverse_blocks(pattern: Pattern, values: Array, size: int) -> tuple[Array, A
     upper = upper.reshape(count, size, size)
     tail = jnp.arange(count * size).reshape(count, size) >= total
     dense = upper + jnp.swapaxes(jnp.triu(upper, 1), 1, 2) + jax.vmap(jnp.diag)(tail.astype(values.dtype))
-    factors = jnp.linalg.cholesky(dense)
-    sound = jnp.all(jnp.isfinite(factors))
-    identity = jnp.eye(size)
-    inverse = jax.vmap(lambda c: jax.scipy.linalg.cho_solve((c, True), identity))(factors)
-    return jnp.where(sound, inverse, identity), sound
+    lower = jnp.linalg.cholesky(dense)
+    sound = jnp.all(jnp.isfinite(lower))
+    return jnp.where(sound, lower, jnp.eye(size)), sound
+
+
+def _inverses(lower: Array) -> Array:
+    identity = jnp.eye(lower.shape[-1])
+    return jax.vmap(lambda c: jax.scipy.linalg.cho_solve((c, True), identity))(lower)
 
 
 def apply_blocks(blocks: Array, r: Array) -> Array:
     """Block-diagonal matrix (b, m, m) times a vector, padded to fill the last block."""
     count, size, _ = blocks.shape
-    padded = jnp.zeros(count * size, r.dtype).at[: r.shape[0]].set(r)
-    return jnp.einsum("bij,bj->bi", blocks, padded.reshape(count, size)).reshape(-1)[: r.shape[0]]
+    return jnp.einsum("bij,bj->bi", blocks, pad_blocks(r, count, size)).reshape(-1)[: r.shape[0]]
+
+
+def pad_blocks(r: Array, count: int, size: int) -> Array:
+    """Vector as rows (count, size), zeros at the end."""
+    return jnp.zeros(count * size, r.dtype).at[: r.shape[0]].set(r).reshape(count, size)

@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxcrumple.solvers.linear import Factor, Solution
+
 
 class _Carry(NamedTuple):
     x: Array
@@ -20,18 +22,20 @@ class _Carry(NamedTuple):
 def conjugate_gradients(
     product: Callable[[Array], Array],
     precondition: Callable[[Array], Array],
+    factor: Factor,
     rhs: Array,
     rtol: Array | float,
     max_iterations: int,
-) -> tuple[Array, Array, Array]:
+) -> Solution:
     """Solve A x = `rhs` (m,) until $\\|r\\|_2 \\le$ `rtol` $\\|b\\|_2$ (Saad, Iterative Methods, alg. 9.1).
 
     `precondition` is applied once per iteration and not at all after the last: an exact one costs one
-    application and one product. A right-hand side that is not finite gives NaN.
-
-    **Returns:** x, the applications of the preconditioner, and whether every direction met had
-    positive curvature; at one that has not the iteration stops.
+    application and one product. A right-hand side that is not finite gives NaN. At a direction without
+    positive curvature the iteration stops and the matrix is called indefinite; where the `factor` has
+    negative eigenvalues it never starts, and x = 0.
     """
+    known = factor.negative > 0
+    rhs = jnp.where(known, 0.0, rhs)
     goal = rtol * jnp.linalg.norm(rhs)
 
     def body(carry: _Carry) -> _Carry:
@@ -52,4 +56,5 @@ def conjugate_gradients(
     init = _Carry(zero, rhs, zero, jnp.ones((), rhs.dtype), jnp.asarray(True), jnp.asarray(0))
     end = jax.lax.while_loop(unfinished, body, init)
     # The loop never starts on a right-hand side that is not finite: say so instead of zero.
-    return jnp.where(jnp.isfinite(goal), end.x, jnp.nan), end.iterations, end.positive
+    x = jnp.where(jnp.isfinite(goal), end.x, jnp.nan)
+    return Solution(x, end.iterations, ~end.positive | known)

@@ -63,11 +63,9 @@ class Direct(AbstractLinearSolver):
             )
             return x[0]
 
-        rhs = jnp.where(factor.negative > 0, 0.0, rhs)
-        x, count, positive = conjugate_gradients(
-            lambda d: pattern.product(values, d), substitute, rhs, rtol, self.max_iterations
+        return conjugate_gradients(
+            lambda d: pattern.product(values, d), substitute, factor, rhs, rtol, self.max_iterations
         )
-        return Solution(x, count, ~positive | (factor.negative > 0))
 
 
 def _kind():

@@ -3,7 +3,8 @@
 Blocks cannot move the long-wave bending modes of a sheet; a coarse space of splines on the reference
 sheet can, and goes on doing so when the sheet is crumpled (additive Schwarz: Toselli & Widlund, Domain
 Decomposition Methods, 2005). The coarse matrix is built and factored in float64, because stretching and
-bending differ by many orders of magnitude in it; both levels are applied in float32.
+bending differ by many orders of magnitude in it. Both levels are applied in float32 as $L^{-T} L^{-1}$, which
+is positive definite whatever the rounding; a rounded inverse is not, and would look like an indefinite A.
 """
 
 from typing import ClassVar, NamedTuple
@@ -15,7 +16,7 @@ from jax import Array
 
 from jaxcrumple.model.coarse import SUPPORT, WINDOW, CoarseSpace
 from jaxcrumple.model.pattern import Pattern
-from jaxcrumple.solvers.block_cg import apply_blocks, inverse_blocks
+from jaxcrumple.solvers.block_cg import block_factors, pad_blocks
 from jaxcrumple.solvers.cg import conjugate_gradients
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor, Solution, identity_values
 
@@ -26,7 +27,7 @@ SHIFT = 1e-10
 
 
 class _Levels(NamedTuple):
-    """Inverse blocks (b, m, m) and the inverse of the coarse matrix's Cholesky factor, in float32."""
+    """Inverse Cholesky factors of the blocks (b, m, m) and of the coarse matrix, in float32."""
 
     blocks: Array
     coarse: Array
@@ -56,7 +57,8 @@ class TwoLevel(AbstractLinearSolver):
 
     def factor(self, pattern: Pattern, values: Array, previous: Factor) -> Factor:
         """Invert blocks and coarse matrix; one that is not positive definite proves A indefinite."""
-        blocks, sound = inverse_blocks(pattern, values, self.block_size)
+        lower, sound = block_factors(pattern, values, self.block_size)
+        blocks = jax.vmap(_inverse_lower)(lower)
         coarse, definite = _coarse_factor(coarse_matrix(pattern, values))
         levels = _Levels(blocks.astype(jnp.float32), coarse.astype(jnp.float32))
         return Factor(values, levels, jnp.where(sound & definite, -1, 1))
@@ -75,13 +77,23 @@ class TwoLevel(AbstractLinearSolver):
             scaled = (r / size).astype(jnp.float32)
             # A row vector times the matrix: XLA on CPU would copy the transpose in every iteration.
             smooth = (levels.coarse @ _restrict(space, weights, scaled)) @ levels.coarse
-            both = apply_blocks(levels.blocks, scaled) + _prolong(space, weights, smooth)
+            both = _solve_blocks(levels.blocks, scaled) + _prolong(space, weights, smooth)
             return size * both.astype(r.dtype)
 
-        x, iterations, positive = conjugate_gradients(
-            lambda d: pattern.expanded_product(rows, d), precondition, rhs, rtol, self.max_iterations
+        return conjugate_gradients(
+            lambda d: pattern.expanded_product(rows, d), precondition, factor, rhs, rtol, self.max_iterations
         )
-        return Solution(x, iterations, ~positive | (factor.negative > 0))
+
+
+def _inverse_lower(lower: Array) -> Array:
+    return jax.scipy.linalg.solve_triangular(lower, jnp.eye(lower.shape[0]), lower=True)
+
+
+def _solve_blocks(inverse: Array, r: Array) -> Array:
+    """$L^{-T} L^{-1}$ r for the inverse factors (b, m, m) of the diagonal blocks."""
+    count, size, _ = inverse.shape
+    half = jnp.einsum("bij,bj->bi", inverse, pad_blocks(r, count, size))
+    return jnp.einsum("bji,bj->bi", inverse, half).reshape(-1)[: r.shape[0]]
 
 
 def _cell_weights(space: CoarseSpace) -> Array:
@@ -143,10 +155,7 @@ def _window_weights(weights: Array, offset: Array) -> Array:
 
 
 def _coarse_factor(matrix: Array) -> tuple[Array, Array]:
-    """Inverse of the Cholesky factor of the coarse matrix, and whether it is positive definite.
-
-    Applied as $L^{-T} L^{-1}$ it is positive definite in any precision.
-    """
+    """Inverse of the Cholesky factor of the coarse matrix, and whether it is positive definite."""
     size = matrix.shape[0]
     diagonal = jnp.diag(matrix)
     # A function that reaches no node has an empty row.
@@ -154,7 +163,4 @@ def _coarse_factor(matrix: Array) -> tuple[Array, Array]:
     scaled = scale[:, None] * matrix * scale[None] + jnp.diag(jnp.where(scale > 0, SHIFT, 1.0))
     lower = jnp.linalg.cholesky(0.5 * (scaled + scaled.T))
     definite = jnp.all(jnp.isfinite(lower)) & jnp.all(diagonal >= 0)
-    inverse = jax.scipy.linalg.solve_triangular(
-        jnp.where(definite, lower, jnp.eye(size)), jnp.eye(size), lower=True
-    )
-    return inverse * scale[None], definite
+    return _inverse_lower(jnp.where(definite, lower, jnp.eye(size))) * scale[None], definite
