@@ -61,7 +61,7 @@ class SolverOptions(Options):
 
     def build(self) -> Hybrid:
         """The integrator; what is None is the scheme's own."""
-        given = {"up": self.switch_up, "down": self.switch_down, "dwell": self.dwell}
+        given: dict[str, Any] = {"up": self.switch_up, "down": self.switch_down, "dwell": self.dwell}
         given |= {"ignore": self.ignore, "minimum_steps": self.minimum_steps}
         switch = SWITCHES[self.scheme](**{key: value for key, value in given.items() if value is not None})
         return hybrid(

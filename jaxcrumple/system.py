@@ -79,7 +79,7 @@ class State(eqx.Module):
 
     `t` s; `x` (n, 3) m; `v` (n, 3) m/s; `p` (h,) rest curvature or None in an elastic scene; `h`,
     `h_explicit`: next step of the implicit stages and of the explicit one in s; `stage`:
-    `QUASISTATIC`, `IMPLICIT` or `EXPLICIT`.
+    `QUASISTATIC`, `IMPLICIT`, `EXPLICIT`, or -1 for that in which the scheme starts.
     """
 
     t: Array
@@ -116,7 +116,7 @@ def initial_state(scene: Scene, x: Array, v: Array | None = None, *, window: int
         p=p,
         h=nought,
         h_explicit=nought,
-        stage=jnp.asarray(QUASISTATIC, int),
+        stage=jnp.asarray(-1, int),
         history=restart_history(x, v, p),
         monitor=Monitor(jnp.zeros(window), zero, nought),
         counters=Counters(jnp.zeros(len(STAGES), int), jnp.zeros(len(CAUSES), int), zero, zero, zero, zero),

@@ -109,7 +109,7 @@ def measure(nodes: int, folder) -> dict[str, dict[str, float]]:
     sizes = {name: least_bytes(kernel) for name, kernel in found.items()}
     limits = {f"triad {name}": triad(size) for name, size in sizes.items()} | {"triad": triad(LARGE)}
     total = paired({name: looped(kernel) for name, kernel in (found | limits).items()}, REPEATS)
-    seconds = {name: time / ITERATIONS for name, time in total.items()}
+    seconds = {name: timing.seconds / ITERATIONS for name, timing in total.items()}
     stream = LARGE / seconds["triad"]
     rows = {
         name: {

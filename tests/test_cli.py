@@ -15,8 +15,19 @@ from jaxcrumple.config import configure
 from jaxcrumple.io import CheckpointError, RunDirectory, RunDirectoryError
 from jaxcrumple.run import resume_run, start_run
 
-SMALL = ["--nodes", "60", "--t-end", "0.02", "--set", "frames=2", "--set", "sweeps=5"]
-CONFIG = configure("radial", nodes=60, t_end=0.02, settings=["frames=2", "sweeps=5"])
+SMALL = [
+    "--nodes",
+    "60",
+    "--t-end",
+    "0.02",
+    "--set",
+    "frames=2",
+    "--set",
+    "sweeps=5",
+    "--set",
+    "drag_rate=400",
+]
+CONFIG = configure("radial", nodes=60, t_end=0.02, settings=["frames=2", "sweeps=5", "drag_rate=400"])
 
 
 def command(*arguments):
@@ -67,7 +78,7 @@ def test_run_succeeds_and_reports(finished):
     folder, result = finished
     assert result.returncode == 0, result.stderr
     assert result.stderr == ""
-    for text in ("result: success", "2 switches", "mJ bending", "largest", f"all results: {folder}"):
+    for text in ("result: success", "3 switches", "mJ bending", "largest", f"all results: {folder}"):
         assert text in result.stdout
     assert "Traceback" not in result.stdout
 
@@ -105,7 +116,7 @@ def test_summary_tells_the_run(finished):
     assert 0 < summary["factors"] <= summary["newton_iterations"]
     # A residual of zero, at rest before the wall comes, takes no iteration.
     assert summary["linear_iterations"] >= summary["newton_iterations"] - 2
-    assert summary["switches"] == 2
+    assert summary["switches"] == 3
     assert {"stretch", "bending", "confinement", "kinetic"} <= set(energy)
     assert all(energy[name] > 0 for name in ("stretch", "bending", "confinement"))
     assert 0 < energy["kinetic"] < 0.1 * energy["bending"]
@@ -131,7 +142,7 @@ def test_run_is_read_back(finished):
     assert run.summary == json.loads((folder / "summary.json").read_text())
     assert run.config["t_end"] == 0.02
     assert run.history["t"].iloc[-1] == 0.02
-    assert run.events["to"].tolist() == ["implicit", "quasistatic"]
+    assert run.events["to"].tolist() == ["quasistatic", "implicit", "quasistatic"]
     assert len(run.events) == run.summary["switches"]
 
 

@@ -14,10 +14,10 @@ def run(setup, rtol, times):
 
 def test_error_follows_the_tolerance_before_the_first_event():
     setup = radial(500)
-    # The first change of stage comes at 1.9 to 2.1 s, depending on the tolerance.
+    # Inertia settles before the wall comes; the sheet first snaps at 1.9 to 2.1 s, depending on the tolerance.
     times = np.linspace(0.0, 1.85, 38)[1:]
     reference = run(setup, 1e-7, times)
-    assert len(reference.events) == 0
+    assert len(reference.events) == 1 and reference.events["t"][0] < 0.01
     rtols = np.array([1e-3, 1e-4, 1e-5, 1e-6])
     errors = [np.abs(run(setup, rtol, times).x - reference.x).max() / 0.1 for rtol in rtols]
     slope = np.polyfit(np.log(rtols), np.log(errors), 1)[0]

@@ -57,6 +57,13 @@ class Scene(eqx.Module):
         """$\\sqrt A$ in m: the unit of the position error."""
         return jnp.sqrt(self.area)
 
+    @property
+    def inertial_time(self) -> Array:
+        """m/b_iso in s, within which inertia outweighs drag; infinite without drag."""
+        if self.drag is None:
+            return jnp.asarray(jnp.inf)
+        return jnp.mean(self.mass) / jnp.mean(self.drag.coefficient)
+
     def rest_curvature(self, p: Array | None) -> Array:
         """The state's rest curvature, or the undamaged one of an elastic scene."""
         return self.bending.rest_curvature if p is None else p

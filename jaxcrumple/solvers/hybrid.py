@@ -120,10 +120,6 @@ def _select(keep: Array, new, old):
     return jax.tree.map(lambda a, b: jnp.where(keep, a, b), new, old)
 
 
-def _max_norm(a: Array) -> Array:
-    return jnp.sqrt(jnp.max(jnp.sum(a * a, axis=1)))
-
-
 def _implicit_stages(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid) -> _Carry:
     """Run the quasistatic stage and the implicit one with inertia, until an explicit one is due."""
     limit = explicit.stability_limit(scene, carry.state.x)
@@ -165,14 +161,13 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid, l
 
 def _moved(scene: Scene, state: State, tried: Attempt, h: Array, t: Array, solver: Hybrid) -> State:
     """The state after an implicit step, or as it was where the step is rejected."""
-    ratio = _max_norm(tried.acceleration) / scene.reference_acceleration
     moved = eqx.tree_at(
         lambda s: (s.t, s.x, s.v, s.history, s.monitor),
         state,
         (
             t, tried.x, tried.v,
             push(state.history, h, tried.x, tried.v, tried.p, tried.next_order),
-            observe(state.monitor, state.stage, ratio, h, solver.switch),
+            observe(scene, state.monitor, state.stage, tried.acceleration, h, solver.switch),
         ),
     )  # fmt: skip
     if state.p is not None:
@@ -184,14 +179,14 @@ def _change_stage(scene: Scene, state: State, log: Log, tried: Attempt, solver: 
     """Hand over after an implicit step where its stage cannot or need not go on."""
     quasistatic, inertial = state.stage == QUASISTATIC, state.stage == IMPLICIT
     rejected, short = ~tried.accepted, state.h < COLLAPSE * limit
-    asked = quasistatic & tried.accepted & wants_inertia(state.monitor, solver.switch)
+    asked = quasistatic & tried.accepted & wants_inertia(scene, state.monitor, solver.switch)
     h_explicit = solver.explicit.safety * limit if solver.explicit is not None else limit
     if solver.has(IMPLICIT):
-        lost = rejected & (tried.cause != CAUSES.index("error")) & (state.h < LOST * _inertial_time(scene))
+        lost = rejected & (tried.cause != CAUSES.index("error")) & (state.h < LOST * scene.inertial_time)
         up = quasistatic & (asked | lost | (rejected & short))
         if solver.has(QUASISTATIC):
             state, log = _maybe_switch(scene, state, log, up, IMPLICIT, state.h)
-            down = inertial & tried.accepted & has_settled(state.monitor, solver.switch)
+            down = inertial & tried.accepted & has_settled(scene, state.monitor, solver.switch)
             state, log = _maybe_switch(scene, state, log, down, QUASISTATIC, state.h)
         if solver.has(EXPLICIT):
             brief = inertial & rejected & (state.h < BREAK_EVEN * limit)
@@ -201,13 +196,6 @@ def _change_stage(scene: Scene, state: State, log: Log, tried: Attempt, solver: 
         state, log = _maybe_switch(scene, state, log, up, EXPLICIT, h_explicit)
     lost = rejected & (state.stage != EXPLICIT) & (state.h < SMALLEST_STEP * jnp.maximum(state.t, 1.0))
     return _with_result(state, lost, RESULTS.collapsed), log
-
-
-def _inertial_time(scene: Scene) -> Array:
-    """Time m/b_iso in s within which inertia outweighs drag; infinite without drag."""
-    if scene.drag is None:
-        return jnp.asarray(jnp.inf)
-    return jnp.mean(scene.mass) / jnp.mean(scene.drag.coefficient)
 
 
 def _count(counters: Counters, stage, accepted, cause, newton=0, linear=0, factors=0) -> Counters:
@@ -279,14 +267,12 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop, solver: Hybrid, cap, sta
     h, lands = _clip_step(state.t, wanted, t_stop)
     tried = explicit.attempt(scene, state, h, cap, stages, fresh, solver.explicit)
     stages = _select(tried.accepted, tried.stages, stages)
-    acceleration = tried.acceleration
-    ratio = _max_norm(acceleration) / scene.reference_acceleration
     moved = eqx.tree_at(
         lambda s: (s.t, s.x, s.v, s.monitor),
         state,
         (
             jnp.where(lands, t_stop, state.t + h), tried.x, tried.v,
-            observe(state.monitor, state.stage, ratio, h, solver.switch),
+            observe(scene, state.monitor, state.stage, tried.acceleration, h, solver.switch),
         ),
     )  # fmt: skip
     if state.p is not None:
@@ -306,7 +292,7 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop, solver: Hybrid, cap, sta
         over = tried.accepted & (moved.monitor.since > SPELL * cap)
         moved, log = _maybe_switch(scene, moved, log, over, IMPLICIT, BREAK_EVEN * cap)
     elif solver.has(QUASISTATIC):
-        asked = tried.accepted & has_settled(moved.monitor, solver.switch)
+        asked = tried.accepted & has_settled(scene, moved.monitor, solver.switch)
         moved, log = _maybe_switch(scene, moved, log, asked, QUASISTATIC, solver.restart_steps * cap)
     done = tried.accepted & lands
     return _Carry(moved, log, carry.factor, carry.spent + EXPLICIT_COST, done), stages, tried.accepted

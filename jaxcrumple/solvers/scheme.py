@@ -16,18 +16,20 @@ from jaxcrumple.solvers.variable_order import VariableOrder
 from jaxcrumple.system import EXPLICIT, IMPLICIT, QUASISTATIC
 
 SCHEMES = ("hybrid", "paper", "dynamic", "quasistatic", "explicit")
-# Each scheme's own switch; the paper's thresholds are its own.
-SWITCHES = dict.fromkeys(SCHEMES, Switch) | {"paper": partial(Switch, up=1e-3, down=1e-6, dwell=0.0)}
+# Each scheme's own switch: the paper has other thresholds, on another measure.
+PAPER_SWITCH = partial(Switch, up=1e-3, down=1e-6, dwell=0.0, measure="acceleration")
+SWITCHES = dict.fromkeys(SCHEMES, Switch) | {"paper": PAPER_SWITCH}
 
-# Share of the tolerance that a step with inertia may use: all of it in a snap, which forgets what its
-# steps leave behind; where inertia is on throughout, what keeps the error of a run below rtol at order 2.
-SNAP_SHARE, REFERENCE_SHARE = 1.0, 0.002
+# Share of the tolerance that the local error of a step with inertia may use: in a snap, which forgets most
+# of what its steps leave behind; and where inertia is on throughout, what keeps the error of a run below
+# rtol at order 2.
+SNAP_SHARE, REFERENCE_SHARE = 0.1, 0.002
 
 
 class Hybrid(eqx.Module):
     """Stages and their options.
 
-    - `stages`: those the scheme may use, in the order in which it prefers them.
+    - `stages`: those the scheme may use, first that in which a new state starts.
     - `implicit`, `explicit`: their steps; None where no stage needs them.
     - `switch`: when to change the stage.
     - `first_step`: first implicit step of a run in s.
@@ -98,7 +100,8 @@ def hybrid(
     share = jnp.asarray(SNAP_SHARE if scheme == "hybrid" else REFERENCE_SHARE)
     steps = VariableOrder(tolerance, solver, rho, share, inertia=inertia, max_order=max_order)
     stages = {
-        "hybrid": (QUASISTATIC, IMPLICIT, EXPLICIT),
+        # A state at rest or with a velocity of its own: inertia decides what becomes of it.
+        "hybrid": (IMPLICIT, QUASISTATIC, EXPLICIT),
         "dynamic": (IMPLICIT,),
         "quasistatic": (QUASISTATIC,),
     }[scheme]

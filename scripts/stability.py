@@ -1,0 +1,274 @@
+"""Stress test: a Latin hypercube of sheets in a shrinking sphere, each in a process of its own.
+
+Every run must end with a named result within its budget of wall time. A run that ends in `success` is
+repeated at a tenth of its tolerance up to the end of its first quasistatic stage, or for 50 steps if inertia
+matters at once. No node may differ by more than ten times rtol * sqrt(A), or than ten times what a random
+shift of all nodes by the error that one step may leave makes of itself: a sheet that buckles from less than
+that falls to either side, and no tolerance tells to which. A run that had to be killed, one whose process
+failed, a number that is not finite, and a node far behind the wall count as failures too.
+Results are kept line by line; the same command goes on where it was stopped.
+
+    python scripts/stability.py [--runs N] [--seconds S] [--workers W]
+"""
+
+import argparse
+import concurrent.futures
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+import pandas as pd
+from benchlib import RESULTS, markdown, save
+from matplotlib.figure import Figure
+from scipy.stats import qmc
+
+from jaxcrumple import Solution, initial_state, simulate
+from jaxcrumple.config import RunConfig, configure
+from jaxcrumple.scenes import Setup
+from jaxcrumple.simulate import explain
+from jaxcrumple.solvers.implicit import LOCAL_SHARE
+
+SIZE, START, END = 0.1, 0.071, 0.05
+FRAMES, COMPARED = 20, 5
+# Steps over which a run is compared whose inertia matters at once.
+FIRST_STEPS = 50
+# Error over the tolerance that counts as a broken one.
+BROKEN = 10.0
+# Share of the sphere's radius that a node may lie behind the wall.
+BEHIND = 0.01
+# Wall seconds for imports and compiling, in each of the two runs, before a process counts as hanging.
+GRACE = 240.0
+NODES = (200, 400, 800, 1500, 3000, 6000, 12000)
+SWEEPS = (0, 1, 3, 10, 30, 100)
+# Dimensions of the cube that are powers of ten, with their ranges.
+DECADES = {
+    "slenderness": (-4, -2),
+    "speed": (-3, 0),
+    "yield_strain": (-3, 0.3),
+    "plastic_time": (-5, -1),
+    "drag_rate": (1, 5),
+    "internal_damping_time": (-9, -5),
+    "roughness": (-2, 1),
+}
+# Above this surface strain at yield the sheet is elastic.
+ELASTIC = 1.0
+FAILURES = ("hangs", "crashes", "not finite", "behind the wall", "broken tolerance")
+
+
+def sample(runs: int, seed: int = 0, largest: int = max(NODES)) -> list[RunConfig]:
+    """Configurations of a Latin hypercube with at most `largest` nodes."""
+    cube = qmc.LatinHypercube(d=len(DECADES) + 2, seed=seed).random(runs)
+    ladder = [n for n in NODES if n <= largest]
+    return [_config(point, number, ladder) for number, point in enumerate(cube)]
+
+
+def _config(point: np.ndarray, number: int, ladder: list[int]) -> RunConfig:
+    exponents = (low + u * (high - low) for u, (low, high) in zip(point, DECADES.values(), strict=False))
+    value = {name: float(f"{10**e:.3g}") for name, e in zip(DECADES, exponents, strict=True)}
+    thickness = value["slenderness"] * SIZE
+    elastic = value["yield_strain"] > ELASTIC
+    settings = {
+        "thickness": thickness,
+        "imperfection": value["roughness"] * thickness,
+        "speed": value["speed"],
+        "radius": START,
+        "size": SIZE,
+        "yield_curvature": None if elastic else 2.0 * value["yield_strain"] / thickness,
+        "plastic_time": value["plastic_time"],
+        "drag_rate": value["drag_rate"],
+        "internal_damping_time": value["internal_damping_time"],
+        "sweeps": SWEEPS[int(point[-1] * len(SWEEPS))],
+        "frames": FRAMES,
+    }
+    nodes = ladder[int(point[-2] * len(ladder))]
+    t_end = (START - END) / value["speed"]
+    return configure("radial", nodes=nodes, seed=number, t_end=t_end, settings=settings)
+
+
+def judged(config: RunConfig, seconds: float) -> dict:
+    """What became of a run: its result and cost, and which failures it shows."""
+    setup, rtol = config.build(), config.solver.rtol
+    solution = _run(setup, config, rtol, np.linspace(0.0, config.t_end, FRAMES + 1)[1:], seconds)
+    counters, state = solution.state.counters, solution.state
+    failures = []
+    numbers = (solution.x, solution.v, state.x, state.v)
+    if not all(np.all(np.isfinite(a)) for a in numbers):
+        failures.append("not finite")
+    radius = START - config.options["speed"] * np.append(solution.t, state.t)
+    reach = np.linalg.norm(np.concatenate([solution.x, state.x[None]]), axis=2).max(axis=1)
+    behind = float(np.max(reach / radius) - 1.0)
+    if behind > BEHIND:
+        failures.append("behind the wall")
+    error = shifted = np.full(1, np.nan)
+    if solution.result == "success":
+        error, shifted = _errors(setup, config, _calm(solution), seconds)
+        if np.any(error > BROKEN * np.maximum(rtol, shifted)):
+            failures.append("broken tolerance")
+    return {
+        "result": solution.result,
+        "failures": failures,
+        "why": "" if solution.result == "success" else explain(initial_state(setup.scene, setup.x), state),
+        "reached": float(state.t) / config.t_end,
+        "behind": behind,
+        "errors": error.tolist(),
+        "shifted": shifted.tolist(),
+        "events": len(solution.events),
+        "steps": np.asarray(counters.steps).tolist(),
+        "rejected": np.asarray(counters.rejected).tolist(),
+        "newton": int(counters.newton),
+        "compile_s": solution.compile_s,
+        "run_s": solution.run_s,
+    }
+
+
+def _run(setup: Setup, config: RunConfig, rtol: float, times: np.ndarray, seconds: float) -> Solution:
+    solver = config.solver.model_copy(update={"rtol": rtol}).build()
+    start = initial_state(setup.scene, setup.x)
+    return simulate(setup.scene, start, times, solver=solver, max_seconds=seconds)
+
+
+def _calm(solution: Solution) -> float:
+    """End of the first quasistatic stage, or time of step number `FIRST_STEPS` where that comes later."""
+    steps, events = solution.history[solution.history["kind"] == 0], solution.events
+    began = np.any(steps["stage"] == "quasistatic")
+    ended = events.loc[events["origin"] == "quasistatic", "t"]
+    calm = np.inf if began else 0.0
+    if len(ended):
+        calm = 0.98 * float(ended.min())
+    total = steps[["quasistatic_steps", "implicit_steps", "explicit_steps"]].sum(axis=1)
+    early = steps.loc[total <= FIRST_STEPS, "t"]
+    first = float(early.max()) if len(early) else float(steps["t"].iloc[0])
+    return min(max(calm, first), float(solution.t[-1]))
+
+
+def _errors(setup: Setup, config: RunConfig, end: float, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+    """Largest distances over sqrt(A), at times until `end`, from a run at a tenth of the tolerance.
+
+    First of the run at the tolerance, then of one that starts shifted by what a step of it may leave.
+    """
+    rtol, times = config.solver.rtol, np.linspace(0.0, end, COMPARED + 1)[1:]
+    shift = LOCAL_SHARE * rtol * SIZE * np.random.default_rng(0).uniform(-1, 1, size=setup.x.shape)
+    tight = _run(setup, config, 0.1 * rtol, times, seconds).x
+    others = (
+        _run(setup, config, rtol, times, seconds).x,
+        _run(setup._replace(x=setup.x + shift), config, 0.1 * rtol, times, seconds).x,
+    )
+    frames = min(len(tight), *map(len, others))
+    error, shifted = (np.linalg.norm(x[:frames] - tight[:frames], axis=2).max(axis=1) / SIZE for x in others)
+    return error, shifted
+
+
+def one(number: int, config: RunConfig, seconds: float) -> dict:
+    """Result of one run, made in a process of its own."""
+    command = [sys.executable, __file__, "--one", config.model_dump_json(), "--seconds", str(seconds)]
+    start = time.perf_counter()
+    outcome = {"number": number, "config": config.model_dump()}
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=2 * (seconds + GRACE), check=False
+        )
+    except subprocess.TimeoutExpired:
+        return outcome | {"result": "killed", "failures": ["hangs"]}
+    if done.returncode:
+        return outcome | {"result": "crash", "failures": ["crashes"], "why": done.stderr[-2000:]}
+    found = json.loads(done.stdout.splitlines()[-1])
+    return outcome | found | {"process_s": time.perf_counter() - start}
+
+
+def study(configs: list[RunConfig], seconds: float, workers: int, log: Path) -> list[dict]:
+    """All results, those that the `log` holds not made again."""
+    log.parent.mkdir(parents=True, exist_ok=True)
+    lines = [json.loads(line) for line in log.read_text().splitlines()] if log.exists() else []
+    known = {line["number"]: line for line in lines}
+    todo = [
+        (number, config)
+        for number, config in enumerate(configs)
+        if known.get(number, {}).get("config") != json.loads(config.model_dump_json())
+    ]
+    with concurrent.futures.ThreadPoolExecutor(workers) as pool, log.open("a") as file:
+        jobs = [pool.submit(one, number, config, seconds) for number, config in todo]
+        for job in concurrent.futures.as_completed(jobs):
+            found = job.result()
+            known[found["number"]] = found
+            print(json.dumps(found), file=file, flush=True)
+            print(found["number"], found["result"], found["failures"], flush=True)
+    return [known[number] for number in range(len(configs))]
+
+
+def table(found: list[dict], seconds: float) -> str:
+    """Counts of results and failures, and a line for each run that neither succeeded nor ran out of time."""
+    rows = []
+    for result in sorted({row["result"] for row in found}):
+        mine = [row for row in found if row["result"] == result]
+        errors = np.array([np.max(row["errors"]) for row in mine if result == "success"])
+        rows.append(
+            [
+                result,
+                len(mine),
+                f"{np.median([row.get('run_s', np.nan) for row in mine]):.1f}",
+                f"{np.mean([row.get('reached', 0.0) for row in mine]):.2f}",
+                " / ".join(str(np.sum(errors < bound)) for bound in (1e-5, 1e-4, 1e-3, np.inf)),
+                *(sum(failure in row["failures"] for row in mine) for failure in FAILURES),
+            ]
+        )
+    header = ["result", "runs", "median s", "mean share of the way", "error < 0.1 / 1 / 10 / any rtol"]
+    text = f"{len(found)} runs, rtol 1e-4, {seconds:g} s each.\n\n{markdown([*header, *FAILURES], rows)}"
+    odd = [row for row in found if row["failures"] or row["result"] not in ("success", "budget")]
+    lines = [
+        f"- run {row['number']}: {row['result']}, {', '.join(row['failures']) or 'no failure'}"
+        f" ({row.get('why') or 'no reason given'})"
+        for row in odd
+    ]
+    return "\n".join([text, "", *lines]) if lines else text
+
+
+def draw(found: list[dict]) -> Figure:
+    """Share of the way that each run went, against each dimension, by result."""
+    frame = pd.DataFrame(
+        [
+            row["config"]["material"]
+            | row["config"]["options"]
+            | {"nodes": row["config"]["nodes"], "result": row["result"], "reached": row.get("reached", 0.0)}
+            for row in found
+        ]
+    )
+    names = ["thickness", "nodes", "sweeps", "speed", "yield_curvature", "plastic_time", "drag_rate"]
+    names += ["internal_damping_time"]
+    figure = Figure(figsize=(12, 5.5), layout="constrained")
+    for axes, name in zip(figure.subplots(2, 4, sharey=True).flat, names, strict=True):
+        for result, group in frame.groupby("result"):
+            axes.plot(group[name], group["reached"], ".", label=result)
+        axes.set(xscale="symlog" if name == "sweeps" else "log", xlabel=name, ylabel="share of the way")
+    figure.axes[0].legend(frameon=False, fontsize=8)
+    return figure
+
+
+def main() -> None:
+    """Run the study, or one of its runs."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--runs", type=int, default=200)
+    parser.add_argument("--seconds", type=float, default=60.0, help="budget of each run")
+    parser.add_argument("--workers", type=int, default=os.cpu_count())
+    parser.add_argument("--log", type=Path, default=Path("runs/stability.jsonl"))
+    parser.add_argument("--json", type=Path, help="write the figures by name to this file")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of table and plot")
+    parser.add_argument("--one", help=argparse.SUPPRESS)
+    opts = parser.parse_args()
+    if opts.one:
+        jax.config.update("jax_compilation_cache_dir", str(Path("runs/cache").absolute()))
+        print(json.dumps(judged(RunConfig.model_validate_json(opts.one), opts.seconds)))
+        return
+    found = study(sample(opts.runs), opts.seconds, opts.workers, opts.log)
+    figures = {"failures": float(sum(bool(row["failures"]) for row in found))}
+    save(opts, "stability", table(found, opts.seconds), draw(found), figures, found)
+
+
+if __name__ == "__main__":
+    main()
