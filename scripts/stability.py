@@ -31,7 +31,7 @@ from jaxcrumple import Solution, initial_state, simulate
 from jaxcrumple.config import RunConfig, configure
 from jaxcrumple.scenes import Setup
 from jaxcrumple.simulate import explain
-from jaxcrumple.solvers.implicit import LOCAL_SHARE
+from jaxcrumple.solvers.scheme import SNAP_SHARE
 
 SIZE, START, END = 0.1, 0.071, 0.05
 FRAMES, COMPARED = 20, 5
@@ -152,7 +152,7 @@ def _errors(setup: Setup, config: RunConfig, end: float, seconds: float) -> tupl
     First of the run at the tolerance, then of one that starts shifted by what a step of it may leave.
     """
     rtol, times = config.solver.rtol, np.linspace(0.0, end, COMPARED + 1)[1:]
-    shift = LOCAL_SHARE * rtol * SIZE * np.random.default_rng(0).uniform(-1, 1, size=setup.x.shape)
+    shift = SNAP_SHARE * rtol * SIZE * np.random.default_rng(0).uniform(-1, 1, size=setup.x.shape)
     tight = _run(setup, config, 0.1 * rtol, times, seconds).x
     others = (
         _run(setup, config, rtol, times, seconds).x,
