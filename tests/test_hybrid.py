@@ -22,6 +22,7 @@ from jaxcrumple.model.plasticity import AbstractFlowRule
 from jaxcrumple.model.scene import sheet
 from jaxcrumple.scenes import radial
 from jaxcrumple.simulate import SimulationError, frame_times, simulate
+from jaxcrumple.solvers.choice import direct_available
 from jaxcrumple.solvers.hybrid import integrate
 from jaxcrumple.solvers.relax import relax
 from jaxcrumple.solvers.scheme import SCHEMES, hybrid
@@ -147,6 +148,18 @@ def test_absent_stages_leave_no_operation():
             assert places[place] == 0, (scheme, place)
         for place in present[scheme]:
             assert places[place] > 3, (scheme, place)
+
+
+def test_the_default_program_calls_no_lapack():
+    # XLA waits for batches of such calls on the threads that are to run them: two at once may hang.
+    traced = eqx.filter_make_jaxpr(integrate)
+    for scheme in SCHEMES:
+        if scheme != "paper":
+            options = hybrid(scheme=scheme, linear="direct" if direct_available() else "two-level")
+            jaxpr, _, _ = traced(setup().scene, start(), jnp.asarray(1.0), options)
+            names = {equation.primitive.name for equation in _equations(jaxpr.jaxpr)}
+            assert not names & {"eigh", "svd", "lu", "qr", "geqrf"}
+            assert "cholesky" not in names or not direct_available()
 
 
 # --- Stages --------------------------------------------------------------------------------------

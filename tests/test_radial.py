@@ -14,7 +14,7 @@ def run(setup, rtol, times):
 
 def test_error_follows_the_tolerance_before_the_first_event():
     setup = radial(500)
-    # Inertia settles before the wall comes; the sheet first snaps at 1.9 to 2.1 s, depending on the tolerance.
+    # Inertia settles before the wall comes; the sheet first snaps at 1.9 to 2.1 s, depending on rtol.
     times = np.linspace(0.0, 1.85, 38)[1:]
     reference = run(setup, 1e-7, times)
     assert len(reference.events) == 1 and reference.events["t"][0] < 0.01

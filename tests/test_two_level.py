@@ -158,3 +158,22 @@ def test_new_numbers_do_not_compile_again():
     run(pattern, values, rhs)
     run(pattern, 2.0 * values, rhs + 1.0)
     assert len(traces) == 1
+
+
+def test_factorisations_wait_for_each_other():
+    # Two batches of LAPACK calls at once hang a machine of two threads: the coarse one needs the blocks'.
+    setup = radial(60, sweeps=5)
+    pattern = setup.scene.pattern
+    solver = TwoLevel()
+    factor = solver.start(pattern)
+    jaxpr = jax.make_jaxpr(lambda values: solver.factor(pattern, values, factor))(factor.values)
+
+    behind, found = set(), []
+    for equation in jaxpr.jaxpr.eqns:
+        text = str(equation)
+        inputs = {variable for variable in equation.invars if not hasattr(variable, "val")}
+        if "cholesky" in text:
+            found.append(bool(inputs & behind))
+        if inputs & behind or (not behind and "triangular_solve" in text):
+            behind.update(equation.outvars)
+    assert found == [False, True]

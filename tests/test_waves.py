@@ -11,7 +11,7 @@ from scipy.sparse.linalg import eigsh
 
 from jaxcrumple.meshgen import rectangle
 from jaxcrumple.model.scene import sheet
-from jaxcrumple.solvers.explicit import STABILITY, stability_limit
+from jaxcrumple.solvers.explicit import STABILITY, largest_eigenvalue, stability_limit
 from jaxcrumple.system import initial_state, mass_matrix, tangent
 
 # RK4 is stable on the imaginary axis up to 2 sqrt 2.
@@ -144,6 +144,19 @@ def test_stability_limit_bounds_the_largest_frequency_tightly(shape):
     )
     limit = float(stability_limit(scene, state.x))
     assert 0.7 < limit * omega / RK4_LIMIT < 1.0
+
+
+def test_largest_eigenvalue_is_that_of_lapack():
+    a = np.random.default_rng(0).normal(size=(200, 3, 3))
+    a = a + np.swapaxes(a, 1, 2)
+    a[:50] = a[:50, :, :1] * a[:50, None, :, 0]  # rank one
+    a[50:60] = 3.0 * np.eye(3)
+    a[60] = 0.0
+    a[61] = np.diag([2.0, 2.0, 1.0])
+    a[62:] *= np.geomspace(1e-12, 1e12, 138)[:, None, None]
+    exact = np.linalg.eigvalsh(a)[:, -1]
+    size = np.abs(a).max(axis=(1, 2))
+    assert np.all(np.abs(largest_eigenvalue(jnp.asarray(a)) - exact) <= 1e-14 * 10 * size)
 
 
 def test_stability_limit_is_sharp_on_the_lattice():

@@ -82,13 +82,29 @@ def stability_limit(scene: Scene, x: Array) -> Array:
     the hexagonal lattice the spring bound is sharp ($6 k_s/m$). Damping enters as $\\omega^2
     b_{int}/k_s + b_{iso}/m$, the largest decay rate.
     """
-    omega_sq = jnp.max(jnp.linalg.eigvalsh(_stiffness_bound(scene, x))[:, -1] / scene.mass)
+    omega_sq = jnp.max(largest_eigenvalue(_stiffness_bound(scene, x)) / scene.mass)
     decay = jnp.zeros(())
     if scene.damping is not None:
         decay = decay + omega_sq * jnp.max(scene.damping.coefficient / scene.membrane.stiffness)
     if scene.drag is not None:
         decay = decay + jnp.max(scene.drag.coefficient / scene.mass)
     return STABILITY / jnp.maximum(jnp.sqrt(omega_sq), decay)
+
+
+def largest_eigenvalue(a: Array) -> Array:
+    """Largest eigenvalue (n,) of symmetric matrices (n, 3, 3) in closed form (Smith, CACM 4, 1961, 168).
+
+    Not by LAPACK: XLA runs a batch of such calls on its thread pool and waits there, so that two of them
+    at once hang a pool of two threads.
+    """
+    mean = jnp.trace(a, axis1=1, axis2=2) / 3.0
+    rest = a - mean[:, None, None] * jnp.eye(3)
+    size = jnp.sqrt(jnp.sum(rest * rest, axis=(1, 2)) / 6.0)
+    c = [rest[:, i] for i in range(3)]
+    determinant = jnp.sum(c[0] * jnp.cross(c[1], c[2]), axis=1)
+    scale = jnp.where(size > 0, size, 1.0)
+    angle = jnp.arccos(jnp.clip(determinant / (2.0 * scale**3), -1.0, 1.0)) / 3.0
+    return mean + 2.0 * size * jnp.cos(angle)
 
 
 def _stiffness_bound(scene: Scene, x: Array) -> Array:

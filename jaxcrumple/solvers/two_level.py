@@ -16,7 +16,7 @@ from jax import Array
 
 from jaxcrumple.model.coarse import SUPPORT, WINDOW, CoarseSpace
 from jaxcrumple.model.pattern import Pattern
-from jaxcrumple.solvers.block_cg import block_factors, pad_blocks
+from jaxcrumple.solvers.block_cg import block_factors, pad_blocks, unit_blocks
 from jaxcrumple.solvers.cg import conjugate_gradients
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor, Solution, identity_values
 
@@ -48,10 +48,7 @@ class TwoLevel(AbstractLinearSolver):
 
     def start(self, pattern: Pattern) -> Factor:
         """Levels of the identity."""
-        count = -(-pattern.diagonal.shape[0] // self.block_size)
-        blocks = jnp.broadcast_to(
-            jnp.eye(self.block_size, dtype=jnp.float32), (count,) + 2 * (self.block_size,)
-        )
+        blocks = unit_blocks(pattern, self.block_size, jnp.float32)
         coarse = jnp.eye(3 * pattern.coarse.size, dtype=jnp.float32)
         return Factor(identity_values(pattern), _Levels(blocks, coarse), jnp.asarray(0))
 
@@ -59,7 +56,11 @@ class TwoLevel(AbstractLinearSolver):
         """Invert blocks and coarse matrix; one that is not positive definite proves A indefinite."""
         lower, sound = block_factors(pattern, values, self.block_size)
         blocks = jax.vmap(_inverse_lower)(lower)
-        coarse, definite = _coarse_factor(coarse_matrix(pattern, values))
+        # One after the other, by their data: two batches of LAPACK calls at once (under `vmap`) would hang a
+        # machine of two threads, see `largest_eigenvalue`.
+        sound = sound & jnp.all(jnp.isfinite(blocks))
+        matrix = coarse_matrix(pattern, values)
+        coarse, definite = _coarse_factor(jnp.where(sound, matrix, jnp.eye(matrix.shape[0])))
         levels = _Levels(blocks.astype(jnp.float32), coarse.astype(jnp.float32))
         return Factor(values, levels, jnp.where(sound & definite, -1, 1))
 
