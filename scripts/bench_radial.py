@@ -1,0 +1,128 @@
+"""The whole of `radial`, phantom and elastoplastic, from R = 7.1 to 3.4 cm: what it takes.
+
+Newton iterations of a rejected attempt count with the next accepted step.
+
+    python scripts/bench_radial.py [--nodes N ...] [--json FILE]
+"""
+
+import resource
+import time
+
+import numpy as np
+from benchlib import markdown, options, save
+from matplotlib.figure import Figure
+
+from jaxcrumple import frame_times, hybrid, initial_state, radial, simulate
+from jaxcrumple.system import CAUSES
+
+RTOL, T_END, FRAMES = 1e-4, 3.7, 37
+
+
+def measure(nodes: int) -> dict:
+    """One run; compiling apart."""
+    setup = radial(nodes)
+    cpu = time.process_time()
+    state = initial_state(setup.scene, setup.x)
+    compiled = simulate(setup.scene, state, T_END, solver=hybrid(RTOL), max_attempts=0)
+    compile_cpu = time.process_time() - cpu
+    run = simulate(setup.scene, state, frame_times(T_END, FRAMES)[1:], solver=hybrid(RTOL), throw=True)
+    cpu = time.process_time() - cpu - compile_cpu
+    history, counters = run.history[run.history["kind"] == 0], run.state.counters
+    stages = {}
+    newton = np.diff(history["newton_iterations"], prepend=0)
+    for name, place in (("quasistatic", 0), ("implicit", 1)):
+        mine = (history["stage"] == name).to_numpy()
+        steps = int(counters.steps[place])
+        stages[name] = {
+            "steps": steps,
+            "newton_per_step": float(newton[mine].sum() / max(steps, 1)),
+            "h_s": np.quantile(history["h"][mine], [0.1, 0.5, 0.9]).tolist() if steps else [],
+        }
+    last = history.iloc[-1]
+    row = {
+        "nodes": nodes, "cpu_s": cpu, "wall_s": run.run_s, "compile_s": compiled.compile_s, "stages": stages,
+        "explicit_steps": int(counters.steps[2]),
+        "rejected": dict(zip(CAUSES, np.asarray(counters.rejected).tolist(), strict=True)),
+        "newton": int(counters.newton), "factors": int(counters.factors), "linear": int(counters.linear),
+        "switches": int(counters.switches), "stretch_mj": 1e3 * last["stretch"],
+        "bending_mj": 1e3 * last["bending"],
+        "largest_strain": float(np.abs(setup.scene.membrane.strain(run.state.x)).max()),
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10,
+    }  # fmt: skip
+    print(row, flush=True)
+    return row
+
+
+def rejected_share(row: dict) -> float:
+    """Rejected over all attempts of the implicit stages."""
+    steps = sum(stage["steps"] for stage in row["stages"].values())
+    rejected = sum(row["rejected"].values())
+    return rejected / (steps + rejected)
+
+
+def table(rows: list[dict]) -> str:
+    """A column for each size."""
+
+    def quantiles(row: dict, stage: str) -> str:
+        return " / ".join(f"{h:.0e}" for h in row["stages"][stage]["h_s"]) + " s"
+
+    lines = {
+        "run, CPU / wall s (+ compiling, once)": lambda r: (
+            f"{r['cpu_s']:.0f} / {r['wall_s']:.0f} (+ {r['compile_s']:.0f})"
+        ),
+        "steps: quasistatic + implicit + explicit": lambda r: " + ".join(
+            map(str, [*(s["steps"] for s in r["stages"].values()), r["explicit_steps"]])
+        ),
+        "rejected, share of attempts": lambda r: (
+            f"{sum(r['rejected'].values())} ({100 * rejected_share(r):.0f} %)"
+        ),
+        "of these for error / Newton / instability / fold": lambda r: " / ".join(
+            str(r["rejected"][cause]) for cause in ("error", "newton", "unstable", "fold")
+        ),
+        "Newton per quasistatic / implicit step": lambda r: " / ".join(
+            f"{s['newton_per_step']:.2f}" for s in r["stages"].values()
+        ),
+        "Newton iterations, linear solves' iterations, factors": lambda r: (
+            f"{r['newton']}, {r['linear']}, {r['factors']}"
+        ),
+        "quasistatic step at 10 / 50 / 90 %": lambda r: quantiles(r, "quasistatic"),
+        "implicit step with inertia at 10 / 50 / 90 %": lambda r: quantiles(r, "implicit"),
+        "changes of stage": lambda r: r["switches"],
+        "energy, bending + stretch": lambda r: f"{r['bending_mj']:.1f} + {r['stretch_mj']:.1f} mJ",
+        "largest edge strain": lambda r: f"{100 * r['largest_strain']:.2f} %",
+        "peak memory so far": lambda r: f"{r['peak_mb'] / 1024:.1f} GB",
+    }
+    header = ["", *(f"n = {row['nodes']}" for row in rows)]
+    cells = [[name, *(value(row) for row in rows)] for name, value in lines.items()]
+    return f"rtol {RTOL:g}, R = 7.1 to 3.4 cm ({T_END} s), {FRAMES} frames.\n\n{markdown(header, cells)}"
+
+
+def ratios(rows: list[dict]) -> dict[str, float]:
+    """The figures by size."""
+    figures = {}
+    for row in rows:
+        n = row["nodes"]
+        figures[f"wall_s_{n}"], figures[f"cpu_s_{n}"] = row["wall_s"], row["cpu_s"]
+        figures[f"newton_per_quasistatic_step_{n}"] = row["stages"]["quasistatic"]["newton_per_step"]
+        figures[f"rejected_share_{n}"] = rejected_share(row)
+    return figures
+
+
+def draw(rows: list[dict]) -> Figure:
+    """CPU seconds against n."""
+    figure = Figure(figsize=(4.5, 3.5), layout="constrained")
+    axes = figure.add_subplot(xscale="log", yscale="log", xlabel="nodes", ylabel="CPU s")
+    axes.plot([row["nodes"] for row in rows], [row["cpu_s"] for row in rows], "o-")
+    axes.grid(alpha=0.3)
+    return figure
+
+
+def main() -> None:
+    """Run the benchmark."""
+    opts = options(__doc__, (1000, 3000)).parse_args()
+    rows = [measure(nodes) for nodes in opts.nodes]
+    save(opts, "radial", table(rows), draw(rows), ratios(rows), rows)
+
+
+if __name__ == "__main__":
+    main()
