@@ -27,6 +27,7 @@ from jaxcrumple.system import State, energies, linearize, residual
 from jaxcrumple.threads import single_threaded_blas
 
 STEPS = 50
+HERE = os.path.dirname(os.path.abspath(__file__))
 
 
 def steps_from(nodes: int, folder) -> dict[str, dict[str, float]]:
@@ -81,11 +82,11 @@ def components(nodes: int, folder) -> dict[str, float]:
 def option_costs(nodes: int, folder) -> dict[str, float]:
     """Extra cost of plasticity and of the wall, as shares of two Newton iterations without them.
 
-    All variants do the same iterations from the same state; its step is cut tenfold, so that the tangent
-    stays definite without the wall.
+    All variants do the same iterations from the same state; its step is so short that the tangent stays
+    definite without the wall.
     """
     scene, state = recorded(nodes, STATES["crumpled"], folder)
-    state = eqx.tree_at(lambda s: s.h, state, 0.1 * state.h)
+    state = eqx.tree_at(lambda s: s.h, state, 1e-3 * state.h)
     rest = eqx.tree_at(lambda s: s.bending.rest_curvature, scene, state.p)
     variants = {
         "all": (scene, state),
@@ -137,15 +138,12 @@ def start_up(nodes: int, cache: str) -> float:
 
 def confined(nodes: int, folder, cores: int) -> dict:
     """`steps_from` and peak memory in a process confined to so many cores."""
-    command = [sys.executable, __file__, "--child", "--nodes", str(nodes), "--states", str(folder)]
     allowed = sorted(os.sched_getaffinity(0))[:cores]
-    done = subprocess.run(
-        command,
-        check=True,
-        capture_output=True,
-        text=True,
-        preexec_fn=lambda: os.sched_setaffinity(0, allowed),
-    )
+    # Before the import of jax, which counts the cores.
+    confine = f"import os, runpy, sys; os.sched_setaffinity(0, {allowed}); sys.path.insert(0, {HERE!r});"
+    program = f"{confine} runpy.run_path({__file__!r}, None, '__main__')"
+    command = [sys.executable, "-c", program, "--child", "--nodes", str(nodes), "--states", str(folder)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
     return json.loads(done.stdout.splitlines()[-1])
 
 
