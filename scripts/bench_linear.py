@@ -9,16 +9,18 @@ run. Of the paper's method the best block size counts.
 Meshes of more than 12000 nodes start from the shape of that one and settle for 5 ms; on them the paper's
 method has one block size and one tolerance, for it takes minutes a solve.
 
-    python scripts/bench_linear.py [--nodes N ...] [--json FILE]
+    python scripts/bench_linear.py [--nodes N ...] [--resume] [--json FILE]
 """
 
 import itertools
+import json
+from pathlib import Path
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from benchlib import LARGEST_RUN, STATES, markdown, next_equations, options, paired, recorded, save
+from benchlib import LARGEST_RUN, STATES, Log, markdown, next_equations, options, paired, recorded, save
 from matplotlib.figure import Figure
 
 from jaxcrumple.solvers.block_cg import BlockCG
@@ -37,7 +39,7 @@ LOW_SIGMA = 2e4
 FRESH = itertools.count(1)
 
 
-def matrices(nodes: int, folder):
+def matrices(nodes: int, folder: Path):
     """Pattern and (state, sigma in 1/s2, load, values, right-hand side) of each case."""
     for name, t in STATES.items():
         scene, state = recorded(nodes, t, folder)
@@ -99,18 +101,18 @@ def timed(pattern, values, rhs, rtol: float, blocks, repeats: int) -> dict[str, 
     }
 
 
-def measure(nodes: int, folder, repeats: int) -> list[dict]:
+def measure(nodes: int, folder: Path, repeats: int, log: Log) -> list[dict]:
     """All states, loads, tolerances and solvers at one size."""
     found = []
     blocks, tolerances = (BLOCKS, TOLERANCES) if nodes <= LARGEST_RUN else (BLOCKS[:1], TOLERANCES[:1])
     for pattern, state, sigma, load, values, rhs in matrices(nodes, folder):
         for rtol in tolerances:
-            result = timed(pattern, values, rhs, rtol, blocks, repeats)
             case = {"nodes": nodes, "state": state, "sigma": sigma, "load": load, "rtol": rtol}
-            found.append(case | {"solvers": result})
-            print(
-                case, {key: f"{1e3 * value['seconds']:.1f} ms" for key, value in result.items()}, flush=True
-            )
+            args = pattern, values, rhs, rtol, blocks, repeats
+            rows = log.rows(json.dumps(case), lambda c=case, a=args: [c | {"solvers": timed(*a)}])
+            times = {key: f"{1e3 * value['seconds']:.1f} ms" for key, value in rows[0]["solvers"].items()}
+            print(case, times, flush=True)
+            found += rows
     return found
 
 
@@ -197,11 +199,12 @@ def draw(found: list[dict]) -> Figure:
 
 def main() -> None:
     """Run the benchmark."""
-    parser = options(__doc__, (1000, 3000))
+    parser = options(__doc__, (1000, 3000), resumable=True)
     parser.add_argument("--repeats", type=int, default=5)
     opts = parser.parse_args()
+    log = Log("linear", opts.resume)
     with single_threaded_blas():
-        found = [row for nodes in opts.nodes for row in measure(nodes, opts.states, opts.repeats)]
+        found = [row for nodes in opts.nodes for row in measure(nodes, opts.states, opts.repeats, log)]
     save(opts, "linear", table(found), draw(found), ratios(found), found)
 
 

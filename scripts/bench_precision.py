@@ -6,16 +6,19 @@ after it), windows of 50 steps from recorded states, and the snap of a spherical
 at a tolerance far below those compared. The figure `hybrid_vs_paper` is the ratio of CPU seconds at equal
 error, the paper's read off its own curve.
 
-    python scripts/bench_precision.py [--nodes N ...] [--stretch radial windows snap] [--json FILE]
+    python scripts/bench_precision.py [--nodes N ...] [--stretch radial windows snap] [--resume] [--json FILE]
 """
 
 import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import numpy as np
-from benchlib import STATES, markdown, options, recorded, save
+from benchlib import STATES, Log, markdown, options, recorded, save
 from matplotlib.figure import Figure
 
 from jaxcrumple import cap, frame_times, hybrid, initial_state, radial, simulate
@@ -63,17 +66,27 @@ def snap(nodes: int) -> Stretch:
     return Stretch("cap", setup.scene, state, np.array([0.005, 0.01, 0.015, 0.05]), "dynamic", 1e-6)
 
 
-def windows(nodes: int, folder) -> list[Stretch]:
-    """From each recorded state, as long as 50 steps of the default scheme take."""
-    found = []
-    for name, t in STATES.items():
-        scene, state = recorded(nodes, t, folder)
-        trial = simulate(scene, state, t + 1.0, solver=hybrid(1e-4), max_attempts=WINDOW_STEPS)
-        steps = trial.history[trial.history["kind"] == 0]
-        end = float(steps["t"].iloc[min(len(steps), WINDOW_STEPS) - 1])
-        times = np.linspace(t, end, 6)[1:]
-        found.append(Stretch(f"window {name}", scene, state, times, "quasistatic", 1e-7))
-    return found
+def window(name: str, nodes: int, folder: Path) -> Stretch:
+    """From a recorded state, as long as 50 steps of the default scheme take."""
+    t = STATES[name]
+    scene, state = recorded(nodes, t, folder)
+    trial = simulate(scene, state, t + 1.0, solver=hybrid(1e-4), max_attempts=WINDOW_STEPS)
+    steps = trial.history[trial.history["kind"] == 0]
+    end = float(steps["t"].iloc[min(len(steps), WINDOW_STEPS) - 1])
+    times = np.linspace(t, end, 6)[1:]
+    return Stretch(f"window {name}", scene, state, times, "quasistatic", 1e-7)
+
+
+def stretches(kinds: list[str], nodes: int, folder: Path) -> dict[str, Callable[[], Stretch]]:
+    """What makes each stretch of the `kinds`, by name."""
+    makers: dict[str, Callable[[], Stretch]] = {}
+    if "radial" in kinds:
+        makers["radial"] = partial(smooth, nodes)
+    if "windows" in kinds:
+        makers |= {f"window {name}": partial(window, name, nodes, folder) for name in STATES}
+    if "snap" in kinds:
+        makers["cap"] = partial(snap, nodes)
+    return makers
 
 
 def run(stretch: Stretch, scheme: str, linear: str | None, rtol: float, patience: float = PATIENCE):
@@ -174,21 +187,18 @@ def draw(rows: list[dict]) -> Figure:
 
 def main() -> None:
     """Run the benchmark."""
-    parser = options(__doc__, (500,))
+    parser = options(__doc__, (500,), resumable=True)
     parser.add_argument("--stretch", nargs="+", default=["radial", "windows", "snap"])
     parser.add_argument("--rtols", type=float, nargs="+", default=list(RTOLS))
     parser.add_argument("--schemes", nargs="+", default=[scheme for scheme, _ in COMPARED])
     opts = parser.parse_args()
     compared = [pair for pair in COMPARED if pair[0] in opts.schemes]
-    rows = []
-    for nodes in opts.nodes:
-        stretches = [smooth(nodes)] if "radial" in opts.stretch else []
-        stretches += windows(nodes, opts.states) if "windows" in opts.stretch else []
-        stretches += [snap(nodes)] if "snap" in opts.stretch else []
-        for stretch in stretches:
-            rows += measure(stretch, compared, opts.rtols)
-            jax.clear_caches()
     name = "precision_" + "_".join(opts.stretch)
+    log, rows = Log(name, opts.resume), []
+    for nodes in opts.nodes:
+        for key, make in stretches(opts.stretch, nodes, opts.states).items():
+            rows += log.rows(f"{key} {nodes}", lambda m=make: measure(m(), compared, opts.rtols))
+            jax.clear_caches()
     save(opts, name, table(rows), draw(rows), speed_up(rows), rows)
 
 

@@ -32,8 +32,8 @@ RESULTS = Path(__file__).parent / "results"
 STATES = {"near flat": 0.05, "buckled": 0.8, "crumpled": 2.6}
 
 
-def options(description: str, nodes: Sequence[int]) -> argparse.ArgumentParser:
-    """The options every benchmark has."""
+def options(description: str, nodes: Sequence[int], *, resumable: bool = False) -> argparse.ArgumentParser:
+    """The options every benchmark has; a `resumable` one keeps its results in a `Log`."""
     parser = argparse.ArgumentParser(
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -43,7 +43,29 @@ def options(description: str, nodes: Sequence[int]) -> argparse.ArgumentParser:
     parser.add_argument(
         "--states", type=Path, default=Path("runs/states"), help="folder in which recorded states are kept"
     )
+    if resumable:
+        parser.add_argument("--resume", action="store_true", help="go on where it was stopped")
     return parser
+
+
+class Log:
+    """Results of a benchmark, kept line by line as they come, so that a stopped one can go on."""
+
+    def __init__(self, name: str, resume: bool):
+        self.path = Path("runs/bench") / f"{name}.jsonl"
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        if not resume:
+            self.path.unlink(missing_ok=True)
+        lines = self.path.read_text().splitlines() if self.path.exists() else []
+        self.known = {line["case"]: line["rows"] for line in map(json.loads, lines)}
+
+    def rows(self, case: str, make: Callable[[], list[dict]]) -> list[dict]:
+        """The rows of a `case`: those kept, or those that `make` returns now."""
+        if case not in self.known:
+            self.known[case] = make()
+            with self.path.open("a") as file:
+                print(json.dumps({"case": case, "rows": self.known[case]}), file=file, flush=True)
+        return self.known[case]
 
 
 def stamp() -> str:
