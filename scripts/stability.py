@@ -1,12 +1,14 @@
 """Stress test: a Latin hypercube of sheets in a shrinking sphere, each in a process of its own.
 
 Every run must end with a named result within its budget of wall time. A run that ends in `success` is
-repeated at a tenth of its tolerance over its first quarter, up to the end of its first quasistatic stage, or
-for 50 steps if inertia matters at once. No node may differ by more than ten times rtol * sqrt(A), or than
-ten times what a random shift of all nodes by the error that one step may leave makes of itself: a sheet that
-buckles from less than that falls to either side, and no tolerance tells to which. A run that had to be
-killed, one whose process failed, a number that is not finite, and a node further behind the wall than the
-wall's own law explains count as failures too.
+repeated at a tenth of its tolerance over its first quarter, but no further than just before its first snap,
+the end of a quasistatic stage, or than its fiftieth step where inertia matters from the start. No node may
+differ by more than ten times rtol * sqrt(A), or than ten times what becomes of a shift of all nodes, long
+waves and noise, by the error that one step may leave: a sheet that buckles from less than that falls to
+either side or at another moment, and no tolerance tells to which or when. A run that had to be killed, one
+whose process failed, a number that is not finite, and a node further behind the wall than the wall's own
+law explains count as failures too.
+
 Results are kept line by line; the same command goes on where it was stopped.
 
     python scripts/stability.py [--runs N] [--seconds S] [--workers W]
@@ -31,13 +33,16 @@ from scipy.stats import qmc
 from jaxcrumple import Solution, initial_state, simulate
 from jaxcrumple.config import RunConfig, configure
 from jaxcrumple.scenes import Setup
+from jaxcrumple.scenes.radial import smooth_imperfection
 from jaxcrumple.simulate import explain
 from jaxcrumple.solvers.scheme import SNAP_SHARE
 
 SIZE, START, END = 0.1, 0.071, 0.05
 FRAMES, COMPARED = 20, 5
-# Steps over which a run is compared whose inertia matters at once.
-FIRST_STEPS = 50
+# Steps over which a run is compared that takes fewer quasistatic ones among them than `FEWEST_STEPS`.
+FIRST_STEPS, FEWEST_STEPS = 50, 5
+# Share of the way to the first snap: at another tolerance it comes at a slightly different moment.
+SHORT_OF = 0.98
 # Error over the tolerance that counts as a broken one.
 BROKEN = 10.0
 # Share of the sphere's radius that a node may lie behind the wall, beside what drag explains.
@@ -156,17 +161,17 @@ def _pressed(setup: Setup, config: RunConfig) -> float:
 
 
 def _calm(solution: Solution) -> float:
-    """End of the first quasistatic stage, or time of step number `FIRST_STEPS` where that comes later."""
+    """Time up to which runs are compared: before the first snap, or early where inertia matters at once."""
     steps, events = solution.history[solution.history["kind"] == 0], solution.events
-    began = np.any(steps["stage"] == "quasistatic")
-    ended = events.loc[events["origin"] == "quasistatic", "t"]
-    calm = np.inf if began else 0.0
-    if len(ended):
-        calm = 0.98 * float(ended.min())
     total = steps[["quasistatic_steps", "implicit_steps", "explicit_steps"]].sum(axis=1)
-    early = steps.loc[total <= FIRST_STEPS, "t"]
-    first = float(early.max()) if len(early) else float(steps["t"].iloc[0])
-    return min(max(calm, first), float(solution.t[-1]))
+    early = steps.loc[total <= FIRST_STEPS]
+    if not len(early):
+        return float(steps["t"].iloc[0])
+    if early["quasistatic_steps"].max() < FEWEST_STEPS:
+        return float(early["t"].max())
+    begun = steps.loc[steps["quasistatic_steps"] >= FEWEST_STEPS, "t"].iloc[0]
+    ended = events.loc[(events["origin"] == "quasistatic") & (events["t"] >= begun), "t"]
+    return float(SHORT_OF * ended.min() if len(ended) else solution.t[-1])
 
 
 def _errors(setup: Setup, config: RunConfig, run: Solution, seconds: float) -> tuple[np.ndarray, np.ndarray]:
@@ -180,7 +185,7 @@ def _errors(setup: Setup, config: RunConfig, run: Solution, seconds: float) -> t
     if not len(times):
         times = np.linspace(0.0, end, COMPARED + 1)[1:]
         run = _run(setup, config, rtol, times, seconds)
-    shift = SNAP_SHARE * rtol * SIZE * np.random.default_rng(0).uniform(-1, 1, size=setup.x.shape)
+    shift = _shift(setup, SNAP_SHARE * rtol * SIZE)
     tight = _run(setup, config, 0.1 * rtol, times, seconds).x
     moved = _run(setup._replace(x=setup.x + shift), config, 0.1 * rtol, times, seconds).x
     frames = min(len(times), len(tight), len(moved))
@@ -188,6 +193,14 @@ def _errors(setup: Setup, config: RunConfig, run: Solution, seconds: float) -> t
         np.linalg.norm(x[:frames] - tight[:frames], axis=2).max(axis=1) / SIZE for x in (run.x, moved)
     )
     return error, shifted
+
+
+def _shift(setup: Setup, amplitude: float) -> np.ndarray:
+    """Displacements (n, 3) in m of every wavelength: long waves and noise, both of the same `amplitude`."""
+    points = np.asarray(setup.x)[:, :2]
+    waves = [smooth_imperfection(points, SIZE, amplitude, seed) for seed in range(3)]
+    noise = np.random.default_rng(0).uniform(-amplitude, amplitude, size=setup.x.shape)
+    return np.stack(waves, axis=1) + noise
 
 
 def one(number: int, config: RunConfig, seconds: float) -> dict:
