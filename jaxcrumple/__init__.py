@@ -13,13 +13,14 @@ from jaxcrumple.run import resume_run, start_run
 from jaxcrumple.scenes import arch, cap, energy_drop, radial, relaxed_drop
 from jaxcrumple.simulate import SimulationError, Solution, frame_times, simulate
 from jaxcrumple.solvers.hybrid import integrate
-from jaxcrumple.solvers.linear import linear_solve
 from jaxcrumple.solvers.relax import relax
 from jaxcrumple.solvers.scheme import Hybrid, hybrid
+from jaxcrumple.solvers.solve import linear_solve
 from jaxcrumple.solvers.switch import Switch
 from jaxcrumple.system import (
     RESULTS,
     State,
+    elastic_tangent,
     energies,
     force,
     initial_state,
@@ -59,6 +60,7 @@ __all__ = [
     "cap",
     "configure",
     "disc",
+    "elastic_tangent",
     "energies",
     "energy_drop",
     "force",

@@ -9,7 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from jaxcrumple.material import Material
 from jaxcrumple.scenes import SCENES, Setup
-from jaxcrumple.solvers.scheme import SWITCHES, Hybrid, hybrid
+from jaxcrumple.solvers.scheme import Hybrid, hybrid, switch_of
+from jaxcrumple.solvers.switch import Switch
 
 
 class ConfigError(ValueError):
@@ -59,16 +60,20 @@ class SolverOptions(Options):
     ignore: int | None = Field(None, ge=0)
     minimum_steps: int | None = Field(None, ge=1)
 
-    def build(self) -> Hybrid:
-        """The integrator; what is None is the scheme's own."""
+    def switch(self) -> Switch:
+        """When the scheme changes the stage; what is None is the scheme's own."""
         given: dict[str, Any] = {"up": self.switch_up, "down": self.switch_down, "dwell": self.dwell}
         given |= {"ignore": self.ignore, "minimum_steps": self.minimum_steps}
-        switch = SWITCHES[self.scheme](**{key: value for key, value in given.items() if value is not None})
+        given = {key: value for key, value in given.items() if value is not None}
+        return switch_of(self.scheme, self.rtol, **given)
+
+    def build(self) -> Hybrid:
+        """The integrator."""
         return hybrid(
             self.rtol,
             scheme=self.scheme,
             linear=self.linear,
-            switch=switch,
+            switch=self.switch(),
             max_order=self.max_order,
             rho_infinity=self.rho_infinity,
             max_step=jnp.asarray(jnp.inf if self.max_step is None else self.max_step),
@@ -140,6 +145,7 @@ def configure(
     config = _validated(RunConfig, {**top, **parts})
     try:
         config.material.build()
+        config.solver.build()
     except ValueError as error:
         raise ConfigError(str(error)) from error
     return config

@@ -26,14 +26,14 @@ from matplotlib.tri import Triangulation
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from numpy.typing import ArrayLike
 
+from jaxcrumple.config import MaterialOptions, SolverOptions
 from jaxcrumple.io.atomic import write_bytes
-from jaxcrumple.io.run import load
+from jaxcrumple.io.run import Run, load
 from jaxcrumple.measure import DAMAGE, damaged, mean_curvature
 from jaxcrumple.measure.creases import plastic_curvature
 from jaxcrumple.measure.strain import positions
 from jaxcrumple.mesh import FloatArray, Mesh
 from jaxcrumple.solvers.log import AFTER, STEP
-from jaxcrumple.solvers.scheme import SWITCHES
 from jaxcrumple.system import STAGES
 
 CURVATURE_LABEL = "mean curvature $H$ [1/m]"
@@ -175,7 +175,7 @@ def plot_steps(
 
 
 def plot_energies(history: pd.DataFrame, *, caption: str = "", path: str | Path) -> Path:
-    """Energies by term in J over time; terms that are never positive are left out.
+    """Energies by term in J over time; what is negative (loads) is dashed, with its magnitude.
 
     **Raises:** as `plot_sheet`, and ValueError if the history is empty.
     """
@@ -186,11 +186,11 @@ def plot_energies(history: pd.DataFrame, *, caption: str = "", path: str | Path)
     largest = 0.0
     for name, color in ENERGY_COLORS.items():
         energy = history[name].to_numpy(dtype=float)
-        if np.any(energy > 0):
-            axes.plot(
-                history["t"], np.where(energy > 0, energy, np.nan), color=color, label=name, linewidth=1.2
-            )
-            largest = max(largest, float(np.nanmax(energy)))
+        for sign, label, style in ((1.0, name, "-"), (-1.0, f"-{name}", "--")):
+            if np.any(sign * energy > 0):
+                shown = np.where(sign * energy > 0, sign * energy, np.nan)
+                axes.plot(history["t"], shown, style, color=color, label=label, linewidth=1.2)
+                largest = max(largest, float(np.nanmax(shown)))
     if largest > 0:
         axes.set_ylim(bottom=max(1e-9 * largest, axes.get_ylim()[0]), top=3 * largest)
         axes.legend(frameon=False, ncols=3)
@@ -215,7 +215,7 @@ def plot_run(folder: str | Path) -> list[Path]:
         plot_creases(run.mesh, last, run.p[-1], caption=now, path=folder / "creases.png"),
     ]
     if len(run.history) and (run.history["kind"] == STEP).any():
-        limits = _thresholds(solver)
+        limits = _thresholds(run)
         path = folder / "steps.png"
         pictures.append(plot_steps(run.history, run.events, thresholds=limits, caption=caption, path=path))
         pictures.append(plot_energies(run.history, caption=caption, path=folder / "energies.png"))
@@ -225,13 +225,18 @@ def plot_run(folder: str | Path) -> list[Path]:
 # Parts
 
 
-def _thresholds(solver: dict) -> list[float]:
-    """The switch's thresholds, given or the scheme's own; none where the scheme has no switch."""
-    scheme = solver.get("scheme")
-    if scheme not in ("hybrid", "paper"):
+def _thresholds(run: Run) -> list[float]:
+    """The switch's thresholds as values of a_max/a_ref; none where the scheme has no switch."""
+    options = SolverOptions(**run.config.get("solver", {}))
+    if options.scheme not in ("hybrid", "paper"):
         return []
-    own = SWITCHES[scheme]()
-    return [solver.get(f"switch_{name}") or float(getattr(own, name)) for name in ("down", "up")]
+    switch, unit = options.switch(), 1.0
+    if switch.measure == "displacement":
+        material = MaterialOptions(**run.config.get("material", {})).build()
+        if material.drag_rate == 0:
+            return []
+        unit = material.discretize(run.mesh).a_ref / material.drag_rate**2 / np.sqrt(run.mesh.area)
+    return [float(switch.down / unit), float(switch.up / unit)]
 
 
 def _figure(size: tuple[float, float], caption: str) -> Figure:

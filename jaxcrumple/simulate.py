@@ -16,7 +16,16 @@ from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.hybrid import integrate
 from jaxcrumple.solvers.log import AFTER, BEFORE, Row
 from jaxcrumple.solvers.scheme import Hybrid, hybrid
-from jaxcrumple.system import CAUSES, EXPLICIT, IMPLICIT, QUASISTATIC, RESULTS, STAGES, State
+from jaxcrumple.system import (
+    CAUSES,
+    EXPLICIT,
+    IMPLICIT,
+    QUASISTATIC,
+    RESULTS,
+    STAGES,
+    State,
+    check_state,
+)
 from jaxcrumple.threads import single_threaded_blas
 
 _integrate = eqx.filter_jit(integrate)
@@ -110,10 +119,14 @@ def simulate(
       stops with the result "budget".
     - `throw`: raise `SimulationError` when the result is not "success".
 
-    **Raises:** ValueError for times that are not finite, not positive or not increasing.
+    **Raises:** ValueError for times that are not finite, not increasing or before the state's, and for a
+    state of another scene or what is not a solver.
     """
-    stops = _checked_times(times, first_frame)
-    solver = solver or hybrid()
+    check_state(scene, state)
+    stops = _checked_times(times, first_frame, float(state.t))
+    solver = hybrid() if solver is None else solver
+    if not isinstance(solver, Hybrid):
+        raise ValueError(f"solver = {solver!r} must be what jaxcrumple.hybrid(rtol, scheme=...) makes.")
     record = _Record()
     watchers = (record, *observers)
     with single_threaded_blas():
@@ -143,7 +156,7 @@ def frame_times(t_end: float, frames: int) -> np.ndarray:
     return np.linspace(0.0, t_end, frames + 1)
 
 
-def _checked_times(times: ArrayLike, first_frame: int) -> np.ndarray:
+def _checked_times(times: ArrayLike, first_frame: int, now: float) -> np.ndarray:
     stops = np.atleast_1d(np.asarray(times, float))
     sound = stops.ndim == 1 and np.all(np.isfinite(stops)) and np.all(np.diff(stops) > 0)
     if not (sound and stops.size and stops[0] >= 0 and stops[-1] > 0):
@@ -153,6 +166,10 @@ def _checked_times(times: ArrayLike, first_frame: int) -> np.ndarray:
         )
     if not 0 <= first_frame <= len(stops):
         raise ValueError(f"first_frame = {first_frame} lies outside the {len(stops)} frame times.")
+    if first_frame < len(stops) and stops[first_frame] < now:
+        raise ValueError(
+            f"time {stops[first_frame]:g} s lies before the state's, {now:g} s; leave out what it has passed."
+        )
     return stops
 
 
@@ -160,11 +177,18 @@ class _Budget:
     """Limits of a run on attempts and on wall time."""
 
     def __init__(self, state: State, attempts: int | None, seconds: float | None):
-        self.attempts = np.inf if attempts is None else attempts + _attempts(state)
-        self.deadline = np.inf if seconds is None else time.perf_counter() + seconds
+        self.first = _attempts(state)
+        self.attempts = np.inf if attempts is None else attempts
+        self.seconds = np.inf if seconds is None else seconds
+        self.start = time.perf_counter()
 
-    def exceeded(self, state: State) -> bool:
-        return _attempts(state) >= self.attempts or time.perf_counter() > self.deadline
+    def left(self, state: State) -> float:
+        """Attempts that may be made before the next look at the clock: 0 when a limit is reached."""
+        made, spent = _attempts(state) - self.first, time.perf_counter() - self.start
+        if spent >= self.seconds:
+            return 0.0
+        in_time = np.inf if np.isinf(self.seconds) else 1 + made * (self.seconds / spent - 1.0)
+        return min(self.attempts - made, np.ceil(in_time))
 
 
 def _attempts(state: State) -> int:
@@ -175,15 +199,16 @@ def _attempts(state: State) -> int:
 def _compile(scene: Scene, state: State, solver: Hybrid) -> float:
     """Compile by a call that has nothing to do; return the seconds it took."""
     start = time.perf_counter()
-    jax.block_until_ready(_integrate(scene, state, state.t, solver))
+    jax.block_until_ready(_integrate(scene, state, state.t, solver, jnp.asarray(0.0)))
     return time.perf_counter() - start
 
 
 def _advance(scene, state: State, t_stop: float, solver, watchers, frames: int, budget: _Budget) -> State:
     while float(state.t) < t_stop:
-        if budget.exceeded(state):
+        left = budget.left(state)
+        if left <= 0:
             return eqx.tree_at(lambda s: s.result, state, RESULTS.budget)
-        state, log = _integrate(scene, state, jnp.asarray(t_stop), solver)
+        state, log = _integrate(scene, state, jnp.asarray(t_stop), solver, jnp.asarray(left))
         rows = np.asarray(log.rows[: int(log.length)])
         history, events = history_table(rows), events_table(rows)
         for watcher in watchers:

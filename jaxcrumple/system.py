@@ -23,7 +23,7 @@ class RESULTS(eqx.Enumeration):  # type: ignore[misc]
     """How a run ended."""
 
     success = "the run reached its end time"
-    budget = "the budget of step attempts was used up before the end time; resume to go on"
+    budget = "the budget of step attempts or of wall time was used up before the end time; resume to go on"
     collapsed = (
         "the step size fell below what float64 resolves in every stage the scheme has; the last good "
         "state is kept. Look at the causes of rejection, and try another scheme, a smaller rtol or more drag"
@@ -99,7 +99,11 @@ def initial_state(scene: Scene, x: Array, v: Array | None = None, *, window: int
     """State at t = 0 with positions `x` (n, 3) in m and velocities `v` (n, 3) in m/s (default 0).
 
     `window` is the number of steps the acceleration monitor averages.
+
+    **Raises:** ValueError for positions or velocities of another shape or not finite, or an empty window.
     """
+    if window < 1:
+        raise ValueError(f"window = {window!r} must be at least 1 step.")
     x = jnp.asarray(x, float)
     if x.shape != (scene.n_nodes, 3) or not np.all(np.isfinite(x)):
         raise ValueError(f"x must be finite and of shape ({scene.n_nodes}, 3); got shape {x.shape}.")
@@ -122,6 +126,22 @@ def initial_state(scene: Scene, x: Array, v: Array | None = None, *, window: int
         counters=Counters(jnp.zeros(len(STAGES), int), jnp.zeros(len(CAUSES), int), zero, zero, zero, zero),
         result=RESULTS.success,  # type: ignore[arg-type]
     )
+
+
+def check_state(scene: Scene, state: State) -> None:
+    """Refuse a state of another scene.
+
+    **Raises:** ValueError that says in what they differ.
+    """
+    cure = "start from initial_state(scene, x) of the same scene."
+    if state.x.shape != (scene.n_nodes, 3):
+        raise ValueError(f"the state has positions {state.x.shape}, the scene {scene.n_nodes} nodes; {cure}")
+    if (state.p is None) != (scene.plasticity is None):
+        kinds = ("an elastic", "a plastic") if state.p is None else ("a plastic", "an elastic")
+        raise ValueError(f"the state is of {kinds[0]} scene, the scene is {kinds[1]} one; {cure}")
+    hinges = scene.bending.rest_curvature.shape
+    if state.p is not None and state.p.shape != hinges:
+        raise ValueError(f"the state has {state.p.shape[0]} hinges, the scene {hinges[0]}; {cure}")
 
 
 def restart_history(x: Array, v: Array, p: Array | None) -> History:

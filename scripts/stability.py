@@ -203,11 +203,16 @@ def _shift(setup: Setup, amplitude: float) -> np.ndarray:
     return np.stack(waves, axis=1) + noise
 
 
+def asked(config: RunConfig, seconds: float) -> dict:
+    """What decides the result of a run."""
+    return {"config": json.loads(config.model_dump_json()), "seconds": seconds}
+
+
 def one(number: int, config: RunConfig, seconds: float) -> dict:
     """Result of one run, made in a process of its own."""
     command = [sys.executable, __file__, "--one", config.model_dump_json(), "--seconds", str(seconds)]
     start = time.perf_counter()
-    outcome = {"number": number, "config": config.model_dump()}
+    outcome = {"number": number, "asked": asked(config, seconds)}
     try:
         done = subprocess.run(
             command, capture_output=True, text=True, timeout=2 * (seconds + GRACE), check=False
@@ -228,7 +233,7 @@ def study(configs: list[RunConfig], seconds: float, workers: int, log: Path) -> 
     todo = [
         (number, config)
         for number, config in enumerate(configs)
-        if known.get(number, {}).get("config") != json.loads(config.model_dump_json())
+        if known.get(number, {}).get("asked") != asked(config, seconds)
     ]
     with concurrent.futures.ThreadPoolExecutor(workers) as pool, log.open("a") as file:
         jobs = [pool.submit(one, number, config, seconds) for number, config in todo]
@@ -271,9 +276,13 @@ def draw(found: list[dict]) -> Figure:
     """Share of the way that each run went, against each dimension, by result."""
     frame = pd.DataFrame(
         [
-            row["config"]["material"]
-            | row["config"]["options"]
-            | {"nodes": row["config"]["nodes"], "result": row["result"], "reached": row.get("reached", 0.0)}
+            row["asked"]["config"]["material"]
+            | row["asked"]["config"]["options"]
+            | {
+                "nodes": row["asked"]["config"]["nodes"],
+                "result": row["result"],
+                "reached": row.get("reached", 0.0),
+            }
             for row in found
         ]
     )

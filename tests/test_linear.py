@@ -21,8 +21,8 @@ from jaxcrumple.solvers import choice
 from jaxcrumple.solvers.block_cg import BlockCG
 from jaxcrumple.solvers.choice import choose_linear_solver, direct_available
 from jaxcrumple.solvers.direct import Direct
-from jaxcrumple.solvers.linear import linear_solve
 from jaxcrumple.solvers.relax import relax
+from jaxcrumple.solvers.solve import linear_solve
 from jaxcrumple.solvers.two_level import TwoLevel
 from jaxcrumple.system import elastic_tangent, initial_state, tangent
 

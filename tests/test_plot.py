@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from jaxcrumple import plot
+from jaxcrumple import Material, plot
 from jaxcrumple.io import RunDirectory, RunDirectoryError
 from jaxcrumple.measure import hinge_curvature
 from jaxcrumple.meshgen import rectangle
@@ -148,6 +148,32 @@ def test_pictures_of_a_run(tmp_path, mesh, folded, history):
     names = ["sheet.png", "creases.png", "steps.png", "energies.png"]
     assert [path.name for path in plot.plot_run(folder.path)] == names
     assert all((folder.path / name).is_file() for name in names)
+
+
+@pytest.mark.parametrize(
+    ("solver", "up", "down"),
+    [
+        ({"rtol": 1e-4}, 3e-4, 1e-4),
+        ({"rtol": 1e-5, "switch_up": 1e-3}, 1e-3, 1e-3 / 3),
+        ({"scheme": "paper"}, None, None),
+        ({"scheme": "dynamic"}, None, None),
+    ],
+)
+def test_thresholds_are_drawn_in_the_unit_of_the_axis(tmp_path, monkeypatch, mesh, history, solver, up, down):
+    """A switch at `up` sees a_max (m/b)^2 / sqrt(A); the axis shows a_max/a_ref, a_ref = ks/(m lambda)."""
+    figures = figure_of(monkeypatch)
+    folder = RunDirectory.create(tmp_path / "run", {"scene": "radial", "solver": solver})
+    folder.save_mesh(mesh)
+    folder.save_frame(0, 0.0, mesh.vertices, 0 * mesh.vertices, mesh.rest_curvature)
+    folder.append_history(list(history.columns), history.to_numpy())
+    plot.plot_run(folder.path)
+    dashed = [line.get_ydata()[0] for line in figures[2].axes[1].lines if line.get_linestyle() == "--"]
+    if up is None:
+        assert dashed == ([1e-6, 1e-3] if solver["scheme"] == "paper" else [])
+        return
+    drag_rate, constants = 1e3, Material().discretize(mesh)
+    unit = constants.a_ref / drag_rate**2 / np.sqrt(mesh.area)
+    np.testing.assert_allclose(dashed, [down / unit, up / unit], rtol=1e-12)
 
 
 def test_matplotlib_is_left_as_it_was(tmp_path, mesh, folded):

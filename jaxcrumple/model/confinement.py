@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.typing import ArrayLike
 
 from jaxcrumple.model.fields import as_float
 
@@ -31,6 +32,11 @@ class Ramp(eqx.Module):
         return self.start + self.rate * t
 
 
+def _of_time(value: ArrayLike | Callable[[Array], Array]) -> Callable[[Array], Array]:
+    """A number that never changes as a function of time."""
+    return value if callable(value) else Ramp(as_float(value), as_float(0.0))
+
+
 class AbstractShape(eqx.Module):
     """The geometry of a wall."""
 
@@ -40,10 +46,10 @@ class AbstractShape(eqx.Module):
 
 
 class Sphere(AbstractShape):
-    """The inside of a sphere: `center` (3,) in m, `radius` a callable of time in m."""
+    """The inside of a sphere: `center` (3,) in m, `radius` in m, a number or a callable of time."""
 
     center: Array = eqx.field(converter=as_float)
-    radius: Callable[[Array], Array]
+    radius: Callable[[Array], Array] = eqx.field(converter=_of_time)
 
     def gap(self, point: Array, t: Array) -> Array:
         """Radius minus distance from the centre."""
@@ -52,11 +58,14 @@ class Sphere(AbstractShape):
 
 
 class Cylinder(AbstractShape):
-    """The inside of an infinite cylinder through `center` (3,) along the unit vector `axis` (3,)."""
+    """The inside of an infinite cylinder through `center` (3,) along the unit vector `axis` (3,).
+
+    `radius` in m is a number or a callable of time.
+    """
 
     center: Array = eqx.field(converter=as_float)
     axis: Array = eqx.field(converter=as_float)
-    radius: Callable[[Array], Array]
+    radius: Callable[[Array], Array] = eqx.field(converter=_of_time)
 
     def gap(self, point: Array, t: Array) -> Array:
         """Radius minus distance from the axis."""
@@ -66,10 +75,13 @@ class Cylinder(AbstractShape):
 
 
 class Plane(AbstractShape):
-    """The half space $\\hat n \\cdot x > $ `offset`(t), with unit `normal` (3,) pointing inside."""
+    """The half space $\\hat n \\cdot x > $ `offset`(t), with unit `normal` (3,) pointing inside.
+
+    `offset` in m is a number or a callable of time.
+    """
 
     normal: Array = eqx.field(converter=as_float)
-    offset: Callable[[Array], Array]
+    offset: Callable[[Array], Array] = eqx.field(converter=_of_time)
 
     def gap(self, point: Array, t: Array) -> Array:
         """Height above the plane."""
@@ -79,13 +91,14 @@ class Plane(AbstractShape):
 class Cone(AbstractShape):
     """The inside of a cone of half angle `half_angle` (rad), opening from its tip along `axis`.
 
-    `height` is a callable of time: the position of the tip on the line `center` + s * `axis`, in m.
+    `height`, a number or a callable of time, is the position s of the tip on the line `center` + s * `axis`
+    in m.
     """
 
     center: Array = eqx.field(converter=as_float)
     axis: Array = eqx.field(converter=as_float)
     half_angle: Array = eqx.field(converter=as_float)
-    height: Callable[[Array], Array]
+    height: Callable[[Array], Array] = eqx.field(converter=_of_time)
 
     def gap(self, point: Array, t: Array) -> Array:
         """Distance from the cone's surface."""

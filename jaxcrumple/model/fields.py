@@ -1,5 +1,8 @@
 """Fields that hold physical numbers."""
 
+from typing import Any
+
+import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
@@ -11,3 +14,8 @@ def as_float(value: ArrayLike) -> Array:
     The explicit type makes numbers of Python and of NumPy compile to the same program.
     """
     return jnp.asarray(value, float)
+
+
+def is_known(*values: Any) -> bool:
+    """Whether all numbers in `values` can be looked at: none is traced by a transformation of JAX."""
+    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))

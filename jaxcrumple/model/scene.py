@@ -12,6 +12,7 @@ from jaxcrumple.mesh import Mesh
 from jaxcrumple.model.bending import Bending
 from jaxcrumple.model.confinement import AbstractShape, Wall
 from jaxcrumple.model.damping import AbstractDashpot, CentralDashpot, Drag, PaperDashpot
+from jaxcrumple.model.fields import is_known
 from jaxcrumple.model.loads import ElementEnergy, Gravity, Prescribed
 from jaxcrumple.model.membrane import Membrane
 from jaxcrumple.model.pattern import Pattern, build_pattern
@@ -92,11 +93,13 @@ def sheet(
     - `plasticity`: a flow rule of your own in place of the material's.
     - `damping`: "central" (default) or "paper" (eq. 25).
 
-    **Returns:** a `Scene`. **Raises:** ValueError when x64 is off or an option is unknown.
+    **Returns:** a `Scene`. **Raises:** ValueError when x64 is off, or for an unknown option, a wall that is
+    none, a gravity that is not three finite numbers or a mask of another shape.
     """
     _require_x64()
     if damping not in ("central", "paper"):
         raise ValueError(f"damping={damping!r} is unknown; choose 'central' or 'paper'.")
+    _check_surroundings(mesh, walls, gravity, prescribed)
     constants = material.discretize(mesh)
     edges, hinges = jnp.asarray(mesh.edges), jnp.asarray(mesh.hinges)
     mass = jnp.asarray(constants.mass)
@@ -133,6 +136,18 @@ def sheet(
         extra=tuple(extra),
         pattern=build_pattern(mesh.vertices, stencils),
     )
+
+
+def _check_surroundings(mesh: Mesh, walls, gravity, prescribed: Prescribed | None) -> None:
+    if not isinstance(walls, Sequence) or not all(isinstance(w, Wall | AbstractShape) for w in walls):
+        raise ValueError(f"walls = {walls!r} must be a list of shapes or walls: [Sphere(center, radius)].")
+    if gravity is not None and np.shape(gravity) != (3,):
+        raise ValueError(f"gravity = {gravity!r} must be three accelerations in m/s2, e.g. (0, 0, -9.81).")
+    if gravity is not None and is_known(gravity) and not np.all(np.isfinite(gravity)):
+        raise ValueError(f"gravity = {gravity!r} must be finite.")
+    shape = (mesh.n_nodes, 3)
+    if prescribed is not None and prescribed.mask.shape != shape:
+        raise ValueError(f"the mask of prescribed has shape {prescribed.mask.shape}; it must be {shape}.")
 
 
 def _wall(wall: Wall | AbstractShape, mesh: Mesh, constants) -> Wall:

@@ -17,8 +17,8 @@ def direct_available() -> bool:
     return importlib.util.find_spec("pardiso_mkl_jax") is not None and jax.default_backend() == "cpu"
 
 
-def choose_linear_solver(name: str) -> AbstractLinearSolver:
-    """Linear solver by name.
+def choose_linear_solver(name: str | AbstractLinearSolver) -> AbstractLinearSolver:
+    """Linear solver by name; one that is a solver already is returned as it is.
 
     **Arguments:** `name`: "direct" (sparse factor with inertia; needs the extra `direct` and a CPU),
     "two-level" (pure JAX, any device), "block-cg" (the paper's), or "auto": direct where it runs,
@@ -26,6 +26,8 @@ def choose_linear_solver(name: str) -> AbstractLinearSolver:
 
     **Raises:** ValueError for an unknown name or a missing extra.
     """
+    if isinstance(name, AbstractLinearSolver):
+        return name
     if name not in LINEAR_SOLVERS:
         raise ValueError(f"linear solver {name!r} is unknown; choose one of {', '.join(LINEAR_SOLVERS)}.")
     if name == "direct" and not direct_available():

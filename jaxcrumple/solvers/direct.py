@@ -2,6 +2,7 @@
 
 from typing import ClassVar
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -29,7 +30,7 @@ class Direct(AbstractLinearSolver):
         """Analyse the pattern (nested dissection)."""
         from pardiso_mkl_jax import primitive
 
-        values = identity_values(pattern)
+        values = _unbatched(identity_values(pattern))
         token, _ = primitive.analyze(pattern.indptr, pattern.indices, values, matrix_type=_kind())
         return Factor(values, token, jnp.asarray(0))
 
@@ -37,6 +38,7 @@ class Direct(AbstractLinearSolver):
         """Factor new values; values that are not finite are replaced by the identity and reported."""
         from pardiso_mkl_jax import primitive
 
+        values = _unbatched(values)
         finite = jnp.all(jnp.isfinite(values))
         safe = jnp.where(finite, values, identity_values(pattern))
         token, report = primitive.factor(
@@ -53,6 +55,7 @@ class Direct(AbstractLinearSolver):
         from pardiso_mkl_jax import primitive
 
         def substitute(r: Array) -> Array:
+            r = _unbatched(r)
             x, _, _ = primitive.solve_stateful(
                 factor.workspace,
                 pattern.indptr,
@@ -66,6 +69,20 @@ class Direct(AbstractLinearSolver):
         return conjugate_gradients(
             lambda d: pattern.product(values, d), substitute, factor, rhs, rtol, self.max_iterations
         )
+
+
+@jax.custom_batching.custom_vmap
+def _unbatched(array: Array) -> Array:
+    """The array itself, outside of `vmap`."""
+    return array
+
+
+@_unbatched.def_vmap
+def _refuse(axis_size: int, in_batched, array: Array):
+    raise ValueError(
+        f"the direct solver cannot be batched by vmap (here over {axis_size} lanes): its factors live "
+        "outside the arrays. Choose linear='two-level'."
+    )
 
 
 def _kind():

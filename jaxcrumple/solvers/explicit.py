@@ -11,6 +11,7 @@ import numpy as np
 from jax import Array
 
 from jaxcrumple.model.bending import stop_derivatives
+from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.geometry import gather, hinge_gradient, length, outer, sub
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.system import CAUSES, State, rates
@@ -51,7 +52,7 @@ class Explicit(eqx.Module):
     """
 
     rtol: Array
-    safety: Array = eqx.field(default=0.8, converter=jnp.asarray)
+    safety: Array = eqx.field(default=0.8, converter=as_float)
 
 
 class Attempt(NamedTuple):

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.typing import ArrayLike
 
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers import explicit
@@ -53,11 +54,14 @@ class _Carry(NamedTuple):
     log: Log
     factor: Factor | None
     spent: Array
+    left: Array
     done: Array
 
 
-def integrate(scene: Scene, state: State, t_stop: Array, solver: Hybrid) -> tuple[State, Log]:
-    """Advance a state until `t_stop`, or until this call's budget is used up.
+def integrate(
+    scene: Scene, state: State, t_stop: Array, solver: Hybrid, max_attempts: ArrayLike = jnp.inf
+) -> tuple[State, Log]:
+    """Advance a state until `t_stop`, or until `max_attempts` steps or this call's own budget are used up.
 
     Pure and traced: wrap it in `eqx.filter_jit`; numbers may change without recompiling. The
     returned state has `result` success if nothing went wrong, and time `t_stop` if it got there;
@@ -72,7 +76,8 @@ def integrate(scene: Scene, state: State, t_stop: Array, solver: Hybrid) -> tupl
     stage = jnp.where(known, state.stage, solver.stages[0])
     state = eqx.tree_at(lambda s: (s.h, s.stage), state, (start_h, stage))
     factor = None if solver.implicit is None else solver.implicit.linear.start(scene.pattern)
-    carry = _Carry(state, empty_log(LOG_CAPACITY), factor, jnp.asarray(0), state.t >= t_stop)
+    left, log = jnp.asarray(max_attempts, float), empty_log(LOG_CAPACITY)
+    carry = _Carry(state, log, factor, jnp.asarray(0), left, state.t >= t_stop)
 
     def stages(carry: _Carry) -> _Carry:
         if solver.implicit is not None:
@@ -96,7 +101,12 @@ def _is_sound(scene: Scene, state: State) -> Array:
 def _going(carry: _Carry) -> Array:
     room = carry.log.length < LOG_CAPACITY - 4
     sound = carry.state.result == RESULTS.success
-    return ~carry.done & room & sound & (carry.spent < BUDGET)
+    return ~carry.done & room & sound & (carry.spent < BUDGET) & (carry.left > 0)
+
+
+def _tried(carry: _Carry, state: State, log: Log, factor, cost: int, done: Array) -> _Carry:
+    """The loop after another attempt."""
+    return _Carry(state, log, factor, carry.spent + cost, carry.left - 1.0, done)
 
 
 def _clip_step(t: Array, h: Array, t_stop: Array) -> tuple[Array, Array]:
@@ -156,7 +166,7 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid, l
     )
     log = append(carry.log, _row(scene, moved, STEP, h, tried.order, tried.error), tried.accepted)
     moved, log = _change_stage(scene, moved, log, tried, solver, limit)
-    return _Carry(moved, log, tried.factor, carry.spent + IMPLICIT_COST, tried.accepted & lands)
+    return _tried(carry, moved, log, tried.factor, IMPLICIT_COST, tried.accepted & lands)
 
 
 def _moved(scene: Scene, state: State, tried: Attempt, h: Array, t: Array, solver: Hybrid) -> State:
@@ -295,4 +305,4 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop, solver: Hybrid, cap, sta
         asked = tried.accepted & has_settled(scene, moved.monitor, solver.switch)
         moved, log = _maybe_switch(scene, moved, log, asked, QUASISTATIC, solver.restart_steps * cap)
     done = tried.accepted & lands
-    return _Carry(moved, log, carry.factor, carry.spent + EXPLICIT_COST, done), stages, tried.accepted
+    return _tried(carry, moved, log, carry.factor, EXPLICIT_COST, done), stages, tried.accepted

@@ -9,7 +9,6 @@ import abc
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -51,22 +50,6 @@ class AbstractLinearSolver(eqx.Module):
     ) -> Solution:
         """Solve A x = `rhs` (3n,), A being `values`, until the residual is `rtol` of it; the factor may
         be that of older values."""
-
-
-def linear_solve(
-    solver: AbstractLinearSolver, pattern: Pattern, values: Array, rhs: Array, rtol: float = 1e-10
-) -> Array:
-    """Solution (3n,) of A x = `rhs`, differentiable with respect to `values` (nnz,) and `rhs`.
-
-    The derivatives, forward and reverse, follow from the implicit function theorem, dA x + A dx = db,
-    and are solved with the same factor to the same `rtol`.
-    """
-    factor = solver.factor(pattern, jax.lax.stop_gradient(values), solver.start(pattern))
-
-    def solve(_, b: Array) -> Array:
-        return solver.solve(pattern, factor, factor.values, b, rtol).x
-
-    return jax.lax.custom_linear_solve(lambda x: pattern.product(values, x), rhs, solve, symmetric=True)
 
 
 def identity_values(pattern: Pattern) -> Array:

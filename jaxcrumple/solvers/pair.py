@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
+from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.geometry import curvature
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.bdf import coefficients, extrapolation
@@ -25,7 +26,7 @@ class BDFPair(AbstractImplicit):
 
     rtol: Array
     linear: AbstractLinearSolver
-    newton_share: Array = eqx.field(default=0.05, converter=jnp.asarray)
+    newton_share: Array = eqx.field(default=0.05, converter=as_float)
     max_iterations: int = eqx.field(static=True, default=8)
 
     def attempt(self, scene: Scene, state: State, h: Array, factor: Factor) -> Attempt:

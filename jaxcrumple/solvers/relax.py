@@ -10,7 +10,7 @@ from jax import Array
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.choice import choose_linear_solver
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
-from jaxcrumple.system import State, elastic_tangent, force, potential_energy, restart_history
+from jaxcrumple.system import State, check_state, elastic_tangent, force, potential_energy, restart_history
 
 # The shift is a pseudo inertia: m * shift is added to the stiffness. It starts at SHIFT_START times
 # the largest spring frequency squared, shrinks after a success and grows after a failure.
@@ -57,11 +57,12 @@ def relax(
 
     **Arguments:** `force_tolerance`: largest net force in N on any free node at the end.
 
-    **Raises:** ValueError for a tolerance that is not positive.
+    **Raises:** ValueError for a tolerance that is not positive, or a state of another scene.
     """
     if not force_tolerance > 0:
         raise ValueError(f"force_tolerance = {force_tolerance!r} N must be positive.")
-    solver = choose_linear_solver(linear) if isinstance(linear, str) else linear
+    check_state(scene, state)
+    solver = choose_linear_solver(linear)
     return _relax(scene, state, jnp.asarray(float(force_tolerance)), solver, max_iterations)
 
 

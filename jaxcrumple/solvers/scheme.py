@@ -1,11 +1,12 @@
 """How to integrate: which stages a scheme has, and the options of each."""
 
-from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
+from jaxcrumple.model.fields import as_float
 from jaxcrumple.solvers.choice import choose_linear_solver
 from jaxcrumple.solvers.explicit import Explicit
 from jaxcrumple.solvers.implicit import AbstractImplicit
@@ -16,9 +17,8 @@ from jaxcrumple.solvers.variable_order import VariableOrder
 from jaxcrumple.system import EXPLICIT, IMPLICIT, QUASISTATIC
 
 SCHEMES = ("hybrid", "paper", "dynamic", "quasistatic", "explicit")
-# Each scheme's own switch: the paper has other thresholds, on another measure.
-PAPER_SWITCH = partial(Switch, up=1e-3, down=1e-6, dwell=0.0, measure="acceleration")
-SWITCHES = dict.fromkeys(SCHEMES, Switch) | {"paper": PAPER_SWITCH}
+# Thresholds of the switch in units of rtol: three times less error than ten times these, at the same cost.
+SWITCH_UP, SWITCH_DOWN = 3.0, 1.0
 
 # Share of the tolerance that the local error of a step with inertia may use: in a snap, which forgets most
 # of what its steps leave behind; and where inertia is on throughout, what keeps the error of a run below
@@ -41,13 +41,24 @@ class Hybrid(eqx.Module):
     implicit: AbstractImplicit | None
     explicit: Explicit | None
     switch: Switch
-    first_step: Array = eqx.field(default=1e-4, converter=jnp.asarray)
-    restart_steps: Array = eqx.field(default=10.0, converter=jnp.asarray)
-    max_step: Array | float = eqx.field(default=jnp.inf, converter=jnp.asarray)
+    first_step: Array = eqx.field(default=1e-4, converter=as_float)
+    restart_steps: Array = eqx.field(default=10.0, converter=as_float)
+    max_step: Array | float = eqx.field(default=jnp.inf, converter=as_float)
 
     def has(self, stage: int) -> bool:
         """Whether the scheme may use a stage."""
         return stage in self.stages
+
+
+def switch_of(scheme: str, rtol: float, **options: Any) -> Switch:
+    """A scheme's own switch at a tolerance, with `options` of it given otherwise.
+
+    Where `up` is given alone, `down` keeps its ratio. The paper has fixed thresholds, on another measure.
+    """
+    if scheme == "paper":
+        return Switch(**{"up": 1e-3, "down": 1e-6, "dwell": 0.0, "measure": "acceleration"} | options)
+    up = options.get("up", SWITCH_UP * rtol)
+    return Switch(**{"up": up, "down": up * SWITCH_DOWN / SWITCH_UP} | options)
 
 
 def hybrid(
@@ -73,11 +84,11 @@ def hybrid(
       infinite frequency that a step leaves, from 0 to 1.
 
     **Raises:** ValueError for a tolerance outside (0, 0.1), a step limit that is not positive, an
-    unknown scheme or linear solver, an order or a dissipation out of range.
+    unknown scheme, linear solver or switch, an order or a dissipation out of range.
     """
-    if not 0 < rtol < 0.1:
-        raise ValueError(f"rtol = {rtol!r} must lie between 0 and 0.1; 1e-4 is a good start.")
-    if not max_step > 0:
+    if isinstance(rtol, str) or not 0 < rtol < 0.1:
+        raise ValueError(f"rtol = {rtol!r} must be a number between 0 and 0.1; 1e-4 is a good start.")
+    if isinstance(max_step, str) or not max_step > 0:
         raise ValueError(f"max_step = {max_step!r} s must be positive; leave it out for no limit.")
     if max_order not in (1, 2, 3, 4, 5):
         raise ValueError(f"max_order = {max_order!r} must be 1, 2, 3, 4 or 5.")
@@ -85,11 +96,13 @@ def hybrid(
         raise ValueError(f"rho_infinity = {rho_infinity!r} must lie between 0 and 1.")
     if scheme not in SCHEMES:
         raise ValueError(f"scheme {scheme!r} is unknown; choose one of {', '.join(SCHEMES)}.")
+    if not (switch is None or isinstance(switch, Switch)):
+        raise ValueError(f"switch = {switch!r} must be a jaxcrumple.Switch, or None for the scheme's own.")
     if linear is None:
         linear = "block-cg" if scheme == "paper" else "auto"
-    solver = choose_linear_solver(linear) if isinstance(linear, str) else linear
+    solver = choose_linear_solver(linear)
     tolerance, rho = jnp.asarray(float(rtol)), jnp.asarray(float(rho_infinity))
-    explicit, switch = Explicit(tolerance), switch or SWITCHES[scheme]()
+    explicit, switch = Explicit(tolerance), switch or switch_of(scheme, rtol)
     if scheme == "paper":
         return Hybrid(
             (QUASISTATIC, EXPLICIT), BDFPair(tolerance, solver), explicit, switch, max_step=max_step

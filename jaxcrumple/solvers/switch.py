@@ -1,21 +1,26 @@
 """When to change the representation: the acceleration monitor (Section 3.4)."""
 
-from typing import Literal
+from typing import Literal, get_args
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
+from jaxcrumple.model.fields import as_float, is_known
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.system import IMPLICIT, QUASISTATIC, Monitor
+
+Measure = Literal["displacement", "acceleration"]
 
 
 class Switch(eqx.Module):
     """Thresholds on the mean of the last accelerations (the window's length is the state's).
 
     - `up`: above it the quasistatic stage hands over to a stage with inertia.
-    - `down`: below it that stage hands back.
+    - `down`: below it that stage hands back. The schemes of `hybrid` take 3 rtol and rtol, so that what
+      quasistatic steps leave out vanishes with the tolerance; the defaults are those of rtol = 1e-4.
     - `ignore`: quasistatic steps after a restart whose accelerations do not count (the velocity jumps to
       the one that balances the forces, and low order makes a spurious peak).
     - `minimum_steps`: quasistatic steps before the monitor may switch (the paper's rule).
@@ -26,12 +31,25 @@ class Switch(eqx.Module):
       $a_{max}/a_{ref}$, whose unit is that of stretching and grows with the number of nodes.
     """
 
-    up: Array | float = eqx.field(default=0.03, converter=jnp.asarray)
-    down: Array | float = eqx.field(default=0.01, converter=jnp.asarray)
-    dwell: Array | float = eqx.field(default=1.0, converter=jnp.asarray)
-    ignore: Array | float = eqx.field(default=5, converter=jnp.asarray)
-    minimum_steps: Array | float = eqx.field(default=10, converter=jnp.asarray)
-    measure: Literal["displacement", "acceleration"] = eqx.field(static=True, default="displacement")
+    up: Array | float = eqx.field(default=3e-4, converter=as_float)
+    down: Array | float = eqx.field(default=1e-4, converter=as_float)
+    dwell: Array | float = eqx.field(default=1.0, converter=as_float)
+    ignore: Array | float = eqx.field(default=5, converter=as_float)
+    minimum_steps: Array | float = eqx.field(default=10, converter=as_float)
+    measure: Measure = eqx.field(static=True, default="displacement")
+
+    def __check_init__(self):
+        if self.measure not in get_args(Measure):
+            known = ", ".join(get_args(Measure))
+            raise ValueError(f"measure={self.measure!r} is unknown; choose one of {known}.")
+        for name in ("up", "down", "dwell", "ignore", "minimum_steps"):
+            value = getattr(self, name)
+            if is_known(value) and not np.all(value >= 0):
+                raise ValueError(f"{name} = {value} of a Switch must be zero or positive.")
+        if is_known(self.up, self.down) and np.any(self.down > self.up):
+            raise ValueError(
+                f"down = {self.down} lies above up = {self.up}: a stage would end as soon as it began."
+            )
 
     def measured(self, scene: Scene, monitor: Monitor) -> Array:
         """What the thresholds are compared with."""

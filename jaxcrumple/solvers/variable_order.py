@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.geometry import curvature
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.bdf import coefficients, error_constant, extrapolation, two_step
@@ -44,9 +45,9 @@ class VariableOrder(AbstractImplicit):
 
     rtol: Array
     linear: AbstractLinearSolver
-    rho_infinity: Array = eqx.field(default=0.0, converter=jnp.asarray)
-    inertial_share: Array = eqx.field(default=LOCAL_SHARE, converter=jnp.asarray)
-    newton_share: Array = eqx.field(default=0.1, converter=jnp.asarray)
+    rho_infinity: Array = eqx.field(default=0.0, converter=as_float)
+    inertial_share: Array = eqx.field(default=LOCAL_SHARE, converter=as_float)
+    newton_share: Array = eqx.field(default=0.1, converter=as_float)
     inertia: bool = eqx.field(static=True, default=True)
     max_order: int = eqx.field(static=True, default=5)
     max_iterations: int = eqx.field(static=True, default=8)

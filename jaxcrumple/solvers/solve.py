@@ -1,0 +1,36 @@
+"""`linear_solve`: any of the linear solvers as a differentiable function."""
+
+import jax
+from jax import Array
+
+from jaxcrumple.model.pattern import Pattern
+from jaxcrumple.solvers.choice import choose_linear_solver
+from jaxcrumple.solvers.linear import AbstractLinearSolver
+
+
+def linear_solve(
+    solver: str | AbstractLinearSolver, pattern: Pattern, values: Array, rhs: Array, rtol: float = 1e-10
+) -> Array:
+    """Solution (3n,) of A x = `rhs`, differentiable with respect to `values` (nnz,) and `rhs`.
+
+    The derivatives, forward and reverse, follow from the implicit function theorem, dA x + A dx = db,
+    and are solved with the same factor to the same `rtol`.
+
+    **Arguments:** `solver`: its name ("auto", "direct", "two-level", "block-cg") or itself; `pattern`: that
+    of a scene; `values` (nnz,) of the upper triangle in N/m, as `elastic_tangent` returns them; `rhs` (3n,)
+    in N.
+
+    **Raises:** ValueError for an unknown solver, or arrays that do not fit the pattern.
+    """
+    solver = choose_linear_solver(solver)
+    size = pattern.diagonal.shape
+    if values.shape != (pattern.nnz,) or rhs.shape != size:
+        raise ValueError(
+            f"values {values.shape} and rhs {rhs.shape} do not fit the pattern: ({pattern.nnz},) and {size}."
+        )
+    factor = solver.factor(pattern, jax.lax.stop_gradient(values), solver.start(pattern))
+
+    def solve(_, b: Array) -> Array:
+        return solver.solve(pattern, factor, factor.values, b, rtol).x
+
+    return jax.lax.custom_linear_solve(lambda x: pattern.product(values, x), rhs, solve, symmetric=True)
