@@ -1,5 +1,6 @@
 """The command line: `jaxcrumple run`, `scenes`, `plot`."""
 
+import importlib.metadata
 import os
 import sys
 from pathlib import Path
@@ -16,6 +17,21 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 console = Console()
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        console.print(f"jaxcrumple {importlib.metadata.version('jaxcrumple')}", highlight=False)
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and stop.", callback=_version, is_eager=True)
+    ] = False,
+) -> None:
+    pass
 
 
 def main() -> None:
@@ -49,11 +65,11 @@ Setting = Annotated[
 @app.command()
 def run(
     scene: Annotated[str, typer.Argument(help="Name of a scene; see `jaxcrumple scenes`.")],
-    nodes: Annotated[int | None, typer.Option(help="Nodes of the mesh [default: 1000].")] = None,
-    t_end: Annotated[float | None, typer.Option(help="End time in s [default: the scene's].")] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of mesh and imperfection [default: 0].")] = None,
+    nodes: Annotated[int | None, typer.Option(help="Nodes of the mesh (default: 1000).")] = None,
+    t_end: Annotated[float | None, typer.Option(help="End time in s (default: the scene's).")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of mesh and imperfection (default: 0).")] = None,
     settings: Setting = None,
-    out: Annotated[Path | None, typer.Option(help="New folder for results [default: runs/SCENE].")] = None,
+    out: Annotated[Path | None, typer.Option(help="New folder for results (default: runs/SCENE).")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out.")] = False,
 ) -> None:
     """Run a scene and write its trajectory, tables, checkpoint, summary and pictures to a folder."""
@@ -71,8 +87,12 @@ def run(
         config = configure(scene, settings=settings or (), **asked)
     if resume:
         check_resumable(config, folder)
-    with ConsoleProgress(config.t_end, console) as progress:
-        summary = resume_run(folder, [progress]) if resume else start_run(config, folder, [progress])
+    try:
+        with ConsoleProgress(config.t_end, console) as progress:
+            summary = resume_run(folder, [progress]) if resume else start_run(config, folder, [progress])
+    except KeyboardInterrupt:
+        console.print(f"stopped; go on with: jaxcrumple run {scene} --resume --out {folder}", soft_wrap=True)
+        raise typer.Exit(130) from None
     pictures = _plot(folder)
     _report(summary, folder, pictures)
     if summary["result"] != "success":
@@ -82,19 +102,20 @@ def run(
 @app.command()
 def scenes() -> None:
     """List the scenes and their options with defaults."""
-    from jaxcrumple.config import MaterialOptions, SolverOptions
+    from jaxcrumple.config import MaterialOptions, RunConfig, SolverOptions
     from jaxcrumple.scenes import SCENES
 
     for name, entry in SCENES.items():
         console.print(f"[bold]{name}[/bold]: {entry.summary}; ends at t = {entry.t_end} s")
-        _print_options("scene", entry.options)
-    _print_options("material", MaterialOptions)
-    _print_options("solver", SolverOptions)
+        _print_options(entry.options)
+    console.print(f"[bold]every run[/bold]\n  frames={RunConfig.model_fields['frames'].default} saved")
+    _print_options(MaterialOptions)
+    _print_options(SolverOptions)
 
 
-def _print_options(title: str, model) -> None:
+def _print_options(model) -> None:
     options = ", ".join(f"{name}={field.default}" for name, field in model.model_fields.items())
-    console.print(f"  {title}: {options}", markup=False)
+    console.print(f"  {model.__doc__}\n    {options}", markup=False)
 
 
 @app.command()
@@ -120,8 +141,8 @@ def _report(summary: dict, folder: Path, pictures: list[Path]) -> None:
     steps, share, energy = summary["steps"], summary["dynamic_share"], summary["energy"]
     lines = [
         f"result: {summary['result']} ({summary['message']})",
-        f"t = {summary['t_reached']:.4g} s after {summary['run_s']:.0f} s "
-        f"(+ {summary['compile_s']:.0f} s compiling, {summary['cpu_s']:.0f} CPU s), rtol {summary['rtol']:g}",
+        f"t = {summary['t_reached']:.4g} s after {summary['run_s']:.0f} s ({summary['cpu_s']:.0f} CPU s; "
+        f"{summary['compile_s']:.0f} s of compiling at the last start included), rtol {summary['rtol']:g}",
         f"steps: {steps['quasistatic']} quasistatic, {steps['implicit']} implicit and {steps['explicit']} "
         f"explicit with inertia, {steps['rejected']} "
         f"rejected; {summary['switches']} switches",

@@ -24,7 +24,7 @@ class Options(BaseModel):
 
 
 class MaterialOptions(Options):
-    """The sheet's material in SI units; see `Material`."""
+    """The sheet's material, in SI units; see `Material`."""
 
     young_modulus: float = 1e9
     thickness: float = 0.25e-3
@@ -46,7 +46,7 @@ class MaterialOptions(Options):
 
 
 class SolverOptions(Options):
-    """The integrator; see `hybrid` and `Switch`."""
+    """The integrator, None meaning the scheme's own; see `hybrid` and `Switch`."""
 
     rtol: float = Field(1e-4, gt=0, lt=0.1, allow_inf_nan=False)
     scheme: Literal["hybrid", "paper", "dynamic", "quasistatic", "explicit"] = "hybrid"
@@ -167,6 +167,9 @@ def _group(key: str, groups: Mapping[str, type[BaseModel]]) -> str:
     for name, model in groups.items():
         if key in model.model_fields:
             return name
+    if key in ("nodes", "seed", "t_end"):
+        flag = key.replace("_", "-")
+        raise ConfigError(f"{key!r} is not a setting: give it as --{flag}, or to `configure` as an argument.")
     known = ["frames", *(field for model in groups.values() for field in model.model_fields)]
     raise ConfigError(f"setting {key!r} is unknown{_nearest(key, known)}")
 

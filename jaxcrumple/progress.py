@@ -11,6 +11,8 @@ from jaxcrumple.system import STAGES, State
 
 # Seconds between lines where the output is not a terminal.
 INTERVAL = 10.0
+# Share of the way below which the time left is anybody's guess.
+EARLY = 0.05
 
 
 class ConsoleProgress:
@@ -19,7 +21,7 @@ class ConsoleProgress:
     def __init__(self, t_end: float, console: Console):
         self.console = console
         self.last: State | None = None
-        self.printed = 0.0
+        self.printed = self.begin = self.first = 0.0
         columns = (
             TextColumn("t = {task.completed:.4f} of {task.total:.4g} s"),
             BarColumn(bar_width=20),
@@ -31,7 +33,6 @@ class ConsoleProgress:
 
     def __enter__(self) -> "ConsoleProgress":
         self.bar.start()
-        self.begin = time.perf_counter()
         return self
 
     def __exit__(self, *_) -> None:
@@ -42,6 +43,8 @@ class ConsoleProgress:
 
     def chunk(self, state: State, history: pd.DataFrame, events: pd.DataFrame, frames: int) -> None:
         """Update the bar, or print a line."""
+        if self.last is None:
+            self.begin, self.first = time.perf_counter(), float(state.t)
         stage = STAGES[int(state.stage)]
         h = float(state.h_explicit if stage == "explicit" else state.h)
         why = explain(self.last, state) if self.last is not None else ""
@@ -61,6 +64,8 @@ class ConsoleProgress:
         self.bar.console.print(line, soft_wrap=True, highlight=False, markup=False)
 
     def _left(self, state: State, total: float) -> str:
-        """Time left at the mean speed since the last state, in words."""
-        speed = float(state.t) / max(time.perf_counter() - self.begin, 1e-9)
-        return f"about {(total - float(state.t)) / speed:.0f} s left, " if speed > 0 else ""
+        """Time left at the mean speed since the first steps, in words."""
+        gone = float(state.t) - self.first
+        if gone < EARLY * total:
+            return ""
+        return f"about {(total - float(state.t)) * (time.perf_counter() - self.begin) / gone:.0f} s left, "

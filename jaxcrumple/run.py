@@ -160,7 +160,7 @@ def _summary(
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return {
         "scene": config.scene,
-        "nodes": config.nodes,
+        "nodes": setup.mesh.n_nodes,
         "seed": config.seed,
         "t_end": config.t_end,
         "t_reached": float(state.t),

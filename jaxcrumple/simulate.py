@@ -7,11 +7,11 @@ from typing import Protocol
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
+from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.hybrid import integrate
 from jaxcrumple.solvers.log import AFTER, BEFORE, Row
@@ -52,7 +52,7 @@ class Observer(Protocol):
         """Called after every call of `integrate` with the new rows and the frames so far."""
 
 
-@dataclass
+@dataclass(repr=False)
 class Solution:
     """What `simulate` returns.
 
@@ -72,6 +72,10 @@ class Solution:
     events: pd.DataFrame
     compile_s: float
     run_s: float
+
+    def __repr__(self) -> str:
+        spent = f"{int(np.sum(self.state.counters.steps))} steps in {self.run_s:.1f} s"
+        return f"Solution({self.result}, n = {self.x.shape[1]}, {len(self.t)} frames, {spent})"
 
 
 @dataclass
@@ -199,7 +203,7 @@ def _attempts(state: State) -> int:
 def _compile(scene: Scene, state: State, solver: Hybrid) -> float:
     """Compile by a call that has nothing to do; return the seconds it took."""
     start = time.perf_counter()
-    jax.block_until_ready(_integrate(scene, state, state.t, solver, jnp.asarray(0.0)))
+    jax.block_until_ready(_integrate(scene, state, state.t, solver, as_float(0.0)))
     return time.perf_counter() - start
 
 
@@ -208,7 +212,7 @@ def _advance(scene, state: State, t_stop: float, solver, watchers, frames: int, 
         left = budget.left(state)
         if left <= 0:
             return eqx.tree_at(lambda s: s.result, state, RESULTS.budget)
-        state, log = _integrate(scene, state, jnp.asarray(t_stop), solver, jnp.asarray(left))
+        state, log = _integrate(scene, state, as_float(t_stop), solver, as_float(left))
         rows = np.asarray(log.rows[: int(log.length)])
         history, events = history_table(rows), events_table(rows)
         for watcher in watchers:

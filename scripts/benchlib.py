@@ -49,23 +49,26 @@ def options(description: str, nodes: Sequence[int], *, resumable: bool = False) 
 
 
 class Log:
-    """Results of a benchmark, kept line by line as they come, so that a stopped one can go on."""
+    """Results of a benchmark, kept line by line as they come, so that a stopped one can go on.
+
+    Without `resume` those of an earlier one go as soon as there is a new one.
+    """
 
     def __init__(self, name: str, resume: bool):
         self.path = Path("runs/bench") / f"{name}.jsonl"
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        if not resume:
-            self.path.unlink(missing_ok=True)
-        lines = self.path.read_text().splitlines() if self.path.exists() else []
-        self.known = {line["case"]: line["rows"] for line in map(json.loads, lines)}
+        lines = self.path.read_text().splitlines() if resume and self.path.exists() else []
+        self.known = {json.dumps(line["case"]): line["result"] for line in map(json.loads, lines)}
 
-    def rows(self, case: str, make: Callable[[], list[dict]]) -> list[dict]:
-        """The rows of a `case`: those kept, or those that `make` returns now."""
-        if case not in self.known:
-            self.known[case] = make()
-            with self.path.open("a") as file:
-                print(json.dumps({"case": case, "rows": self.known[case]}), file=file, flush=True)
-        return self.known[case]
+    def result(self, case: dict, make: Callable[[], dict]) -> dict:
+        """The `case` with its result: the one kept, or what `make` returns now."""
+        key = json.dumps(case)
+        if key not in self.known:
+            result = make()
+            with self.path.open("a" if self.known else "w") as file:
+                print(json.dumps({"case": case, "result": result}), file=file, flush=True)
+            self.known[key] = result
+        return case | self.known[key]
 
 
 def stamp() -> str:

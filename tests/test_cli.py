@@ -1,7 +1,9 @@
 """The command line: what a run leaves behind, and one clear line for everything that cannot be."""
 
+import importlib.metadata
 import json
 import os
+import runpy
 import shutil
 import subprocess
 import sys
@@ -141,6 +143,7 @@ def test_run_is_read_back(finished):
     np.testing.assert_array_equal(run.x[0], run.mesh.vertices)
     assert run.summary == json.loads((folder / "summary.json").read_text())
     assert run.config["t_end"] == 0.02
+    assert repr(run) == "Run(radial, n = 60, 3 frames to t = 0.02 s, success)"
     assert run.history["t"].iloc[-1] == 0.02
     assert run.events["to"].tolist() == ["quasistatic", "implicit", "quasistatic"]
     assert len(run.events) == run.summary["switches"]
@@ -152,8 +155,35 @@ def test_scenes_lists_options_with_defaults(monkeypatch, capsys):
         cli.main()
     assert caught.value.code == 0
     text = " ".join(capsys.readouterr().out.split())
-    for item in ("radial", "ends at t = 2.6 s", "radius=0.071", "thickness=0.00025", "rtol=0.0001"):
+    for item in (
+        "radial",
+        "ends at t = 2.6 s",
+        "radius=0.071",
+        "thickness=0.00025",
+        "rtol=0.0001",
+        "frames=26",
+    ):
         assert item in text
+
+
+def test_version_and_module(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["jaxcrumple", "--version"])
+    with pytest.raises(SystemExit) as caught:
+        runpy.run_module("jaxcrumple", run_name="__main__")
+    assert caught.value.code == 0
+    assert capsys.readouterr().out.strip() == f"jaxcrumple {importlib.metadata.version('jaxcrumple')}"
+
+
+def test_an_interrupted_run_says_how_to_go_on(tmp_path, monkeypatch, capsys):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("jaxcrumple.run.start_run", interrupt)
+    monkeypatch.setattr(sys, "argv", ["jaxcrumple", "run", "radial", "--out", str(tmp_path / "out")])
+    with pytest.raises(SystemExit) as caught:
+        cli.main()
+    assert caught.value.code == 130
+    assert f"jaxcrumple run radial --resume --out {tmp_path / 'out'}" in capsys.readouterr().out
 
 
 def test_plot_draws_again(copy, monkeypatch, capsys):

@@ -14,7 +14,7 @@ from jaxcrumple.io.rundir import RunDirectory
 from jaxcrumple.mesh import FloatArray, Mesh
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Run:
     """What a run left behind, finished or not.
 
@@ -31,6 +31,11 @@ class Run:
     summary: dict[str, Any]  # how it ended; empty if the run is still going or was killed
     history: pd.DataFrame  # one row per logged step, columns of `jaxcrumple.solvers.log.Row`
     events: pd.DataFrame  # switches and the like
+
+    def __repr__(self) -> str:
+        scene, result = self.config.get("scene"), self.summary.get("result", "unfinished")
+        frames, end = len(self.t), self.t[-1]
+        return f"Run({scene}, n = {self.mesh.n_nodes}, {frames} frames to t = {end:.4g} s, {result})"
 
 
 def load(path: str | Path) -> Run:

@@ -55,10 +55,11 @@ def switch_of(scheme: str, rtol: float, **options: Any) -> Switch:
 
     Where `up` is given alone, `down` keeps its ratio. The paper has fixed thresholds, on another measure.
     """
-    if scheme == "paper":
-        return Switch(**{"up": 1e-3, "down": 1e-6, "dwell": 0.0, "measure": "acceleration"} | options)
     up = options.get("up", SWITCH_UP * rtol)
-    return Switch(**{"up": up, "down": up * SWITCH_DOWN / SWITCH_UP} | options)
+    own: dict[str, Any] = {"up": up, "down": up * SWITCH_DOWN / SWITCH_UP}
+    if scheme == "paper":
+        own = {"up": 1e-3, "down": 1e-6, "dwell": 0.0, "measure": "acceleration"}
+    return Switch(**own | options)
 
 
 def hybrid(

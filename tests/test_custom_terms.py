@@ -1,0 +1,120 @@
+"""Energies and flow rules of the user's own, against closed forms."""
+
+import functools
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from lattice import elastic, held, lattice
+
+from jaxcrumple.meshgen import rectangle
+from jaxcrumple.model.geometry import curvature
+from jaxcrumple.model.loads import ElementEnergy
+from jaxcrumple.model.plasticity import AbstractFlowRule
+from jaxcrumple.model.scene import sheet
+from jaxcrumple.simulate import simulate
+from jaxcrumple.solvers.relax import relax
+from jaxcrumple.solvers.scheme import hybrid
+from jaxcrumple.system import initial_state
+
+NODES = 60
+
+
+def solver(rtol=1e-4, **options):
+    """The hybrid integrator with the linear solver that needs no extra."""
+    return hybrid(rtol, linear="block-cg", **options)
+
+
+def tether(x, parameters, t):
+    """A spring from a node to its anchor; it breaks (NaN) beyond `limit`."""
+    stiffness, anchor, limit = parameters
+    square = jnp.sum((x[0] - anchor) ** 2)
+    return 0.5 * stiffness * square * jnp.where(square > limit**2, jnp.nan, 1.0)
+
+
+G = 9.81
+STIFFNESS = 0.02
+
+
+@functools.cache
+def tethered_mesh():
+    return rectangle(0.1, 0.08, NODES, seed=3, sweeps=5)
+
+
+def tethered(anchor, limit=1.0):
+    """An elastic sheet under gravity whose nodes hang on equal springs."""
+    mesh = tethered_mesh()
+    ground = ElementEnergy(
+        jnp.arange(NODES)[:, None],
+        tether,
+        (jnp.full(NODES, STIFFNESS), jnp.asarray(anchor), jnp.full(NODES, limit)),
+    )
+    return sheet(mesh, elastic(drag_rate=1e3), gravity=(0.0, 0.0, -G), extra=[ground])
+
+
+def test_springs_to_ground_relax_to_their_closed_form():
+    flat = tethered_mesh().vertices
+    angle = 0.3
+    turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+    anchor = flat @ turn.T + np.array([0.01, 0.0, 0.02])
+    scene = tethered(anchor)
+    tolerance = 1e-11
+    relaxed = relax(scene, initial_state(scene, flat), force_tolerance=tolerance, linear="block-cg")
+    assert bool(relaxed.converged)
+    # Every node has the same weight and the same spring: the turned sheet sinks without deforming.
+    sag = float(scene.mass[0]) * G / STIFFNESS
+    assert sag > 1e-3
+    np.testing.assert_allclose(relaxed.state.x, anchor - [0, 0, sag], atol=100 * tolerance / STIFFNESS)
+
+
+def test_springs_to_ground_sink_as_their_closed_form():
+    flat = tethered_mesh().vertices
+    scene = tethered(flat)
+    mass, drag = float(scene.mass[0]), float(scene.drag.coefficient[0])
+    sag, rate = mass * G / STIFFNESS, STIFFNESS / drag
+    t = 1.5 / rate
+    # At rest, inertia matters for a time m/b only: 1/80 of the time the springs take.
+    state = initial_state(scene, flat, np.broadcast_to([0, 0, -rate * sag], flat.shape))
+    solution = simulate(scene, state, t, solver=solver(1e-5))
+    assert solution.result == "success"
+    expected = flat - np.array([0, 0, sag * (1 - np.exp(-rate * t))])
+    np.testing.assert_allclose(solution.state.x, expected, atol=1e-5 * float(scene.length_scale))
+
+
+def test_an_energy_that_turns_nan_ends_in_a_named_result():
+    flat = tethered_mesh().vertices
+    limit = 0.5 * float(tethered(flat).mass[0]) * G / STIFFNESS
+    scene = tethered(flat, limit)
+    solution = simulate(scene, initial_state(scene, flat), 3.0, solver=solver(1e-5), max_seconds=20.0)
+    assert solution.result in ("collapsed", "nonfinite")
+    assert 0 < float(solution.state.t) < 3.0
+    moved = np.linalg.norm(solution.state.x - flat, axis=1)
+    assert np.all(np.isfinite(solution.state.v))
+    assert 0.9 * limit < moved.max() <= limit
+    assert np.isfinite(solution.history.drop(columns="stage").to_numpy(float)).all()
+
+
+class Creep(AbstractFlowRule):
+    """A sheet that forgets: dp/dt = (c - p) / T."""
+
+    time: Array
+
+    def rate(self, c, p):
+        return (c - p) / self.time
+
+
+def test_a_flow_rule_of_the_users_own():
+    mesh = lattice(2, 2)
+    fold = mesh.vertices + np.array([0, 0, 3e-4]) * np.arange(mesh.n_nodes)[:, None] ** 2
+    scene = sheet(
+        mesh,
+        elastic(),
+        prescribed=held(np.ones((mesh.n_nodes, 3), bool), fold),
+        plasticity=Creep(jnp.asarray(0.5)),
+    )
+    c = np.asarray(curvature(scene.bending.hinges(jnp.asarray(fold)).theta))
+    assert np.min(np.abs(c)) > 0.05
+    solution = simulate(scene, initial_state(scene, fold), [0.25, 1.0], solver=solver(1e-5))
+    assert solution.result == "success"
+    for t, p in zip(solution.t, solution.p, strict=True):
+        np.testing.assert_allclose(p, c * (1 - np.exp(-t / 0.5)), atol=2e-5)

@@ -1,0 +1,156 @@
+"""Input that cannot be: one ValueError that names cause and cure, before any work."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxcrumple import (
+    LinearMotion,
+    Material,
+    Prescribed,
+    Sphere,
+    Switch,
+    elastic_tangent,
+    hybrid,
+    initial_state,
+    linear_solve,
+    relax,
+    sheet,
+    simulate,
+)
+from jaxcrumple.meshgen import rectangle
+from jaxcrumple.solvers.choice import direct_available
+
+MESH = rectangle(0.1, 0.1, 40, sweeps=3)
+MATERIAL = Material()
+
+
+def scene(**options):
+    return sheet(MESH, options.pop("material", MATERIAL), **options)
+
+
+def state(**options):
+    return initial_state(scene(**options), MESH.vertices)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"up": np.nan}, "up = nan of a Switch must be zero or positive"),
+        ({"dwell": -1.0}, r"dwell = -1\.0 of a Switch"),
+        ({"up": 1e-4, "down": 1e-3}, r"down = 0\.001 lies above up = 0\.0001"),
+        ({"measure": "speed"}, "'speed' is unknown; choose one of displacement, acceleration"),
+    ],
+)
+def test_switches(options, message):
+    with pytest.raises(ValueError, match=message):
+        Switch(**options)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"rtol": "1e-4"}, "rtol = '1e-4' must be a number between 0 and 0.1"),
+        ({"rtol": np.nan}, "rtol = nan must be a number"),
+        ({"rtol": -1e-4}, "rtol = -0.0001 must be"),
+        ({"max_step": "1"}, "max_step = '1' s must be positive"),
+        ({"scheme": "hybird"}, "'hybird' is unknown; choose one of hybrid, paper"),
+        ({"linear": 3}, "linear solver 3 is unknown; choose one of auto, direct"),
+        ({"switch": {"up": 1.0}}, "must be a jaxcrumple.Switch"),
+    ],
+)
+def test_solvers(options, message):
+    with pytest.raises(ValueError, match=message):
+        hybrid(**options)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"gravity": 9.81}, "must be three accelerations in m/s2, e.g."),
+        ({"gravity": (0, 0, np.nan)}, "must be finite"),
+        ({"walls": Sphere(np.zeros(3), 0.1)}, r"must be a list of shapes or walls"),
+        ({"walls": [0.1]}, r"must be a list of shapes or walls"),
+        ({"damping": "none"}, "choose 'central' or 'paper'"),
+        (
+            {"prescribed": Prescribed(np.ones((3, 3), bool), LinearMotion(np.zeros((3, 3)), np.zeros(3)))},
+            r"the mask of prescribed has shape \(3, 3\); it must be \(40, 3\)",
+        ),
+    ],
+)
+def test_surroundings(options, message):
+    with pytest.raises(ValueError, match=message):
+        scene(**options)
+
+
+def test_states_of_another_scene():
+    elastic = Material(yield_curvature=None)
+    other = rectangle(0.1, 0.1, 50, sweeps=3)
+    stranger = initial_state(sheet(other, MATERIAL), other.vertices)
+    with pytest.raises(
+        ValueError, match=r"the state has positions \(50, 3\), the scene 40 nodes; start from"
+    ):
+        simulate(scene(), stranger, 0.1)
+    with pytest.raises(ValueError, match="the state is of an elastic scene, the scene is a plastic one"):
+        simulate(scene(), state(material=elastic), 0.1)
+    with pytest.raises(ValueError, match="the state is of a plastic scene, the scene is an elastic one"):
+        relax(scene(material=elastic), state(), force_tolerance=1e-6)
+    turned = eqx.tree_at(lambda s: s.p, state(), jnp.zeros(3))
+    with pytest.raises(ValueError, match="the state has 3 hinges, the scene"):
+        simulate(scene(), turned, 0.1)
+    with pytest.raises(ValueError, match="window = 0 must be at least 1"):
+        initial_state(scene(), MESH.vertices, window=0)
+
+
+@pytest.mark.parametrize("times", [0.0, -1.0, np.nan, np.inf, [0.2, 0.1], [], [[0.1, 0.2]]])
+def test_times(times):
+    with pytest.raises(ValueError, match="frame times in seconds"):
+        simulate(scene(), state(), times)
+
+
+def test_times_that_have_passed():
+    later = eqx.tree_at(lambda s: s.t, state(), jnp.asarray(0.05))
+    with pytest.raises(ValueError, match=r"time 0\.01 s lies before the state's, 0\.05 s"):
+        simulate(scene(), later, [0.01, 0.1])
+
+
+def test_what_is_no_solver():
+    with pytest.raises(ValueError, match=r"solver = 'hybrid' must be what jaxcrumple\.hybrid"):
+        simulate(scene(), state(), 0.1, solver="hybrid")
+
+
+def test_linear_systems():
+    made = scene()
+    values = elastic_tangent(
+        made, jnp.asarray(MESH.vertices), made.rest_curvature(None), jnp.asarray(0.0), 1e4
+    )
+    rhs = jnp.ones(3 * made.n_nodes)
+    with pytest.raises(ValueError, match=r"rhs \(5,\) do not fit the pattern: \(\d+,\) and \(120,\)"):
+        linear_solve("two-level", made.pattern, values, rhs[:5])
+    with pytest.raises(ValueError, match="linear solver 'lu' is unknown"):
+        linear_solve("lu", made.pattern, values, rhs)
+    if direct_available():
+        with pytest.raises(ValueError, match=r"cannot be batched by vmap \(here over 2 lanes\)"):
+            jax.vmap(lambda v: linear_solve("direct", made.pattern, v, rhs))(jnp.stack([values, values]))
+
+
+def test_a_wall_that_stands_still_is_given_by_a_number():
+    moving = Sphere(np.zeros(3), lambda t: jnp.asarray(0.06))
+    still, point = Sphere(np.zeros(3), 0.06), jnp.array([0.03, 0.0, 0.0])
+    assert float(still.gap(point, jnp.asarray(2.0))) == float(moving.gap(point, jnp.asarray(2.0)))
+
+
+def test_whole_numbers_compile_to_the_same_program():
+    """An int where a float is usual must not cost a compilation of a minute."""
+    pairs = [
+        (hybrid(1e-4, max_step=1), hybrid(1e-4, max_step=1.5)),
+        (Switch(up=1, down=0, dwell=2), Switch(up=1.5, down=0.5, dwell=2.5)),
+        (Sphere([0, 0, 0], 1), Sphere([0.0, 0.5, 0.0], 1.5)),
+    ]
+    for whole, part in pairs:
+        assert jax.tree.structure(whole) == jax.tree.structure(part)
+        leaves = [jax.tree.leaves(eqx.filter(tree, eqx.is_array)) for tree in (whole, part)]
+        for a, b in zip(*leaves, strict=True):
+            assert (a.dtype, a.weak_type) == (b.dtype, b.weak_type)
