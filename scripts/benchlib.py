@@ -6,6 +6,7 @@ import importlib.metadata
 import json
 import os
 import platform
+import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -46,6 +47,14 @@ def options(description: str, nodes: Sequence[int], *, resumable: bool = False) 
     if resumable:
         parser.add_argument("--resume", action="store_true", help="go on where it was stopped")
     return parser
+
+
+def on_one_core() -> None:
+    """Start this process again confined to one core, so that all that is compared has one thread."""
+    allowed = sorted(os.sched_getaffinity(0))
+    if len(allowed) > 1:
+        os.sched_setaffinity(0, allowed[:1])
+        os.execv(sys.executable, [sys.executable, *sys.argv])
 
 
 class Log:
