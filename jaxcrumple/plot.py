@@ -230,12 +230,11 @@ def _thresholds(run: Run) -> list[float]:
     options = SolverOptions(**run.config.get("solver", {}))
     if options.scheme not in ("hybrid", "paper"):
         return []
-    switch, unit = options.switch(), 1.0
-    if switch.measure == "displacement":
-        material = MaterialOptions(**run.config.get("material", {})).build()
-        if material.drag_rate == 0:
-            return []
-        unit = material.discretize(run.mesh).a_ref / material.drag_rate**2 / np.sqrt(run.mesh.area)
+    switch, material = options.switch(), MaterialOptions(**run.config.get("material", {})).build()
+    inertial_time = 1.0 / material.drag_rate if material.drag_rate else np.inf
+    unit = switch.value(1.0, material.discretize(run.mesh).a_ref, inertial_time, np.sqrt(run.mesh.area))
+    if np.isinf(unit):
+        return []
     return [float(switch.down / unit), float(switch.up / unit)]
 
 

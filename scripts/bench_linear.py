@@ -23,9 +23,9 @@ from benchlib import (
     LARGEST_RUN,
     STATES,
     Log,
+    confine,
     markdown,
     next_equations,
-    on_one_core,
     options,
     paired,
     recorded,
@@ -211,7 +211,7 @@ def main() -> None:
     parser = options(__doc__, (1000, 3000), resumable=True)
     parser.add_argument("--repeats", type=int, default=5)
     opts = parser.parse_args()
-    on_one_core()
+    confine(cores=1)
     log = Log("linear", opts.resume)
     with single_threaded_blas():
         found = [row for nodes in opts.nodes for row in measure(nodes, opts.states, opts.repeats, log)]

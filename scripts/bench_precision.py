@@ -45,7 +45,6 @@ PATIENCE = 240.0
 class Stretch(NamedTuple):
     """A piece of motion: its start, and the times at which positions are compared."""
 
-    name: str
     scene: Scene
     state: State
     times: np.ndarray
@@ -55,14 +54,14 @@ def smooth(nodes: int) -> Stretch:
     """`radial` from its start through the first buckling."""
     setup = radial(nodes)
     state = initial_state(setup.scene, setup.x)
-    return Stretch("radial", setup.scene, state, frame_times(0.6, 24)[1:])
+    return Stretch(setup.scene, state, frame_times(0.6, 24)[1:])
 
 
 def snap(nodes: int) -> Stretch:
     """The cap, through its limit point and to rest."""
     setup = cap(nodes)
     state = initial_state(setup.scene, setup.x)
-    return Stretch("cap", setup.scene, state, np.array([0.005, 0.01, 0.015, 0.05]))
+    return Stretch(setup.scene, state, np.array([0.005, 0.01, 0.015, 0.05]))
 
 
 def window(name: str, nodes: int, folder: Path) -> Stretch:
@@ -71,9 +70,8 @@ def window(name: str, nodes: int, folder: Path) -> Stretch:
     scene, state = recorded(nodes, t, folder)
     trial = simulate(scene, state, t + 1.0, solver=hybrid(1e-4), max_attempts=WINDOW_STEPS)
     steps = trial.history[trial.history["kind"] == 0]
-    end = float(steps["t"].iloc[min(len(steps), WINDOW_STEPS) - 1])
-    times = np.linspace(t, end, 6)[1:]
-    return Stretch(f"window {name}", scene, state, times)
+    times = np.linspace(t, float(steps["t"].iloc[-1]), 6)[1:]
+    return Stretch(scene, state, times)
 
 
 def stretches(kinds: list[str], nodes: int, folder: Path) -> dict[str, Callable[[], Stretch]]:

@@ -9,7 +9,6 @@ and with a warm compilation cache.
 """
 
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -18,7 +17,7 @@ import time
 import equinox as eqx
 import jax
 import numpy as np
-from benchlib import STATES, markdown, next_equations, options, paired, recorded, save
+from benchlib import STATES, confine, markdown, next_equations, options, paired, recorded, save
 from matplotlib.figure import Figure
 
 from jaxcrumple import hybrid, simulate
@@ -27,7 +26,6 @@ from jaxcrumple.system import State, energies, linearize, residual
 from jaxcrumple.threads import single_threaded_blas
 
 STEPS = 50
-HERE = os.path.dirname(os.path.abspath(__file__))
 
 
 def steps_from(nodes: int, folder) -> dict[str, dict[str, float]]:
@@ -138,11 +136,8 @@ def start_up(nodes: int, cache: str) -> float:
 
 def confined(nodes: int, folder, cores: int) -> dict:
     """`steps_from` and peak memory in a process confined to so many cores."""
-    allowed = sorted(os.sched_getaffinity(0))[:cores]
-    # Before the import of jax, which counts the cores.
-    confine = f"import os, runpy, sys; os.sched_setaffinity(0, {allowed}); sys.path.insert(0, {HERE!r});"
-    program = f"{confine} runpy.run_path({__file__!r}, None, '__main__')"
-    command = [sys.executable, "-c", program, "--child", "--nodes", str(nodes), "--states", str(folder)]
+    command = [sys.executable, __file__, "--child", str(cores)]
+    command += ["--nodes", str(nodes), "--states", str(folder)]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     return json.loads(done.stdout.splitlines()[-1])
 
@@ -228,9 +223,10 @@ def draw(results: list[dict]) -> Figure:
 def main() -> None:
     """Run the benchmark."""
     parser = options(__doc__, (1000, 3000))
-    parser.add_argument("--child", action="store_true", help="measure steps only, in this process")
+    parser.add_argument("--child", type=int, metavar="CORES", help="measure steps only, on so many cores")
     opts = parser.parse_args()
     if opts.child:
+        confine(opts.child)
         child(opts.nodes[0], opts.states)
         return
     results = [measure(nodes, opts.states) for nodes in opts.nodes]

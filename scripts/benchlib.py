@@ -49,11 +49,11 @@ def options(description: str, nodes: Sequence[int], *, resumable: bool = False) 
     return parser
 
 
-def on_one_core() -> None:
-    """Start this process again confined to one core, so that all that is compared has one thread."""
+def confine(cores: int) -> None:
+    """Start this process again confined to so many cores, where it has more: JAX counts them on import."""
     allowed = sorted(os.sched_getaffinity(0))
-    if len(allowed) > 1:
-        os.sched_setaffinity(0, allowed[:1])
+    if len(allowed) > cores:
+        os.sched_setaffinity(0, allowed[:cores])
         os.execv(sys.executable, [sys.executable, *sys.argv])
 
 

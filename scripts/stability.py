@@ -105,8 +105,8 @@ def judged(config: RunConfig, seconds: float) -> dict:
     numbers = (solution.x, solution.v, state.x, state.v)
     if not all(np.all(np.isfinite(a)) for a in numbers):
         failures.append("not finite")
-    behind = _behind(setup, solution)
-    if np.any(behind > BEHIND * _radius(setup, solution) + _pressed(setup, config)):
+    behind, radius = _behind(setup, solution), _radius(setup, solution)
+    if np.any(behind > BEHIND * radius + _pressed(setup, config)):
         failures.append("behind the wall")
     error = shifted = np.full(1, np.nan)
     if solution.result == "success":
@@ -118,7 +118,7 @@ def judged(config: RunConfig, seconds: float) -> dict:
         "failures": failures,
         "why": "" if solution.result == "success" else explain(initial_state(setup.scene, setup.x), state),
         "reached": float(state.t) / config.t_end,
-        "behind": float(np.max(behind / _radius(setup, solution))),
+        "behind": float(np.max(behind / radius)),
         "errors": error.tolist(),
         "shifted": shifted.tolist(),
         "events": len(solution.events),
@@ -205,7 +205,7 @@ def _shift(setup: Setup, amplitude: float) -> np.ndarray:
 
 def asked(config: RunConfig, seconds: float) -> dict:
     """What decides the result of a run."""
-    return {"config": json.loads(config.model_dump_json()), "seconds": seconds}
+    return {"config": config.model_dump(mode="json"), "seconds": seconds}
 
 
 def one(number: int, config: RunConfig, seconds: float) -> dict:
@@ -274,16 +274,13 @@ def table(found: list[dict], seconds: float) -> str:
 
 def draw(found: list[dict]) -> Figure:
     """Share of the way that each run went, against each dimension, by result."""
+    configs = [row["asked"]["config"] for row in found]
     frame = pd.DataFrame(
         [
-            row["asked"]["config"]["material"]
-            | row["asked"]["config"]["options"]
-            | {
-                "nodes": row["asked"]["config"]["nodes"],
-                "result": row["result"],
-                "reached": row.get("reached", 0.0),
-            }
-            for row in found
+            config["material"]
+            | config["options"]
+            | {"nodes": config["nodes"], "result": row["result"], "reached": row.get("reached", 0.0)}
+            for config, row in zip(configs, found, strict=True)
         ]
     )
     names = ["thickness", "nodes", "sweeps", "speed", "yield_curvature", "plastic_time", "drag_rate"]

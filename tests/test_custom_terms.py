@@ -18,11 +18,8 @@ from jaxcrumple.solvers.scheme import hybrid
 from jaxcrumple.system import initial_state
 
 NODES = 60
-
-
-def solver(rtol=1e-4, **options):
-    """The hybrid integrator with the linear solver that needs no extra."""
-    return hybrid(rtol, linear="block-cg", **options)
+# The linear solver needs no extra.
+SOLVER = hybrid(1e-5, linear="block-cg")
 
 
 def tether(x, parameters, t):
@@ -75,7 +72,7 @@ def test_springs_to_ground_sink_as_their_closed_form():
     t = 1.5 / rate
     # At rest, inertia matters for a time m/b only: 1/80 of the time the springs take.
     state = initial_state(scene, flat, np.broadcast_to([0, 0, -rate * sag], flat.shape))
-    solution = simulate(scene, state, t, solver=solver(1e-5))
+    solution = simulate(scene, state, t, solver=SOLVER)
     assert solution.result == "success"
     expected = flat - np.array([0, 0, sag * (1 - np.exp(-rate * t))])
     np.testing.assert_allclose(solution.state.x, expected, atol=1e-5 * float(scene.length_scale))
@@ -85,7 +82,7 @@ def test_an_energy_that_turns_nan_ends_in_a_named_result():
     flat = tethered_mesh().vertices
     limit = 0.5 * float(tethered(flat).mass[0]) * G / STIFFNESS
     scene = tethered(flat, limit)
-    solution = simulate(scene, initial_state(scene, flat), 3.0, solver=solver(1e-5), max_seconds=20.0)
+    solution = simulate(scene, initial_state(scene, flat), 3.0, solver=SOLVER, max_seconds=20.0)
     assert solution.result in ("collapsed", "nonfinite")
     assert 0 < float(solution.state.t) < 3.0
     moved = np.linalg.norm(solution.state.x - flat, axis=1)
@@ -114,7 +111,7 @@ def test_a_flow_rule_of_the_users_own():
     )
     c = np.asarray(curvature(scene.bending.hinges(jnp.asarray(fold)).theta))
     assert np.min(np.abs(c)) > 0.05
-    solution = simulate(scene, initial_state(scene, fold), [0.25, 1.0], solver=solver(1e-5))
+    solution = simulate(scene, initial_state(scene, fold), [0.25, 1.0], solver=SOLVER)
     assert solution.result == "success"
     for t, p in zip(solution.t, solution.p, strict=True):
         np.testing.assert_allclose(p, c * (1 - np.exp(-t / 0.5)), atol=2e-5)

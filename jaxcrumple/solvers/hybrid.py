@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
+from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers import explicit
 from jaxcrumple.solvers.bdf import push
@@ -76,7 +77,7 @@ def integrate(
     stage = jnp.where(known, state.stage, solver.stages[0])
     state = eqx.tree_at(lambda s: (s.h, s.stage), state, (start_h, stage))
     factor = None if solver.implicit is None else solver.implicit.linear.start(scene.pattern)
-    left, log = jnp.asarray(max_attempts, float), empty_log(LOG_CAPACITY)
+    left, log = as_float(max_attempts), empty_log(LOG_CAPACITY)
     carry = _Carry(state, log, factor, jnp.asarray(0), left, state.t >= t_stop)
 
     def stages(carry: _Carry) -> _Carry:

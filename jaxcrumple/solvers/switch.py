@@ -1,6 +1,6 @@
 """When to change the representation: the acceleration monitor (Section 3.4)."""
 
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import equinox as eqx
 import jax
@@ -51,12 +51,16 @@ class Switch(eqx.Module):
                 f"down = {self.down} lies above up = {self.up}: a stage would end as soon as it began."
             )
 
-    def measured(self, scene: Scene, monitor: Monitor) -> Array:
-        """What the thresholds are compared with."""
-        mean = jnp.mean(monitor.ratios)
+    def value(self, ratio: Any, reference_acceleration: Any, inertial_time: Any, length_scale: Any) -> Any:
+        """What a `ratio` a_max/a_ref counts as: the number that the thresholds are compared with."""
         if self.measure == "acceleration":
-            return mean
-        return mean * scene.reference_acceleration * scene.inertial_time**2 / scene.length_scale
+            return ratio
+        return ratio * reference_acceleration * inertial_time**2 / length_scale
+
+    def measured(self, scene: Scene, monitor: Monitor) -> Array:
+        """The value of the monitor's mean."""
+        scales = scene.reference_acceleration, scene.inertial_time, scene.length_scale
+        return self.value(jnp.mean(monitor.ratios), *scales)
 
 
 def observe(
