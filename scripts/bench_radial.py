@@ -2,14 +2,15 @@
 
 Newton iterations of a rejected attempt count with the next accepted step.
 
-    python scripts/bench_radial.py [--nodes N ...] [--json FILE]
+    python scripts/bench_radial.py [--nodes N ...] [--resume] [--json FILE]
 """
 
+import functools
 import resource
 import time
 
 import numpy as np
-from benchlib import markdown, options, save
+from benchlib import Log, markdown, options, save
 from matplotlib.figure import Figure
 
 from jaxcrumple import frame_times, hybrid, initial_state, radial, simulate
@@ -40,16 +41,16 @@ def measure(nodes: int) -> dict:
         }
     last = history.iloc[-1]
     row = {
-        "nodes": nodes, "cpu_s": cpu, "wall_s": run.run_s, "compile_s": compiled.compile_s, "stages": stages,
+        "cpu_s": cpu, "wall_s": run.run_s, "compile_s": compiled.compile_s, "stages": stages,
         "explicit_steps": int(counters.steps[2]),
         "rejected": dict(zip(CAUSES, np.asarray(counters.rejected).tolist(), strict=True)),
         "newton": int(counters.newton), "factors": int(counters.factors), "linear": int(counters.linear),
-        "switches": int(counters.switches), "stretch_mj": 1e3 * last["stretch"],
-        "bending_mj": 1e3 * last["bending"],
+        "switches": int(counters.switches), "stretch_mj": float(1e3 * last["stretch"]),
+        "bending_mj": float(1e3 * last["bending"]),
         "largest_strain": float(np.abs(setup.scene.membrane.strain(run.state.x)).max()),
         "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10,
     }  # fmt: skip
-    print(row, flush=True)
+    print(nodes, row, flush=True)
     return row
 
 
@@ -119,8 +120,9 @@ def draw(rows: list[dict]) -> Figure:
 
 def main() -> None:
     """Run the benchmark."""
-    opts = options(__doc__, (1000, 3000)).parse_args()
-    rows = [measure(nodes) for nodes in opts.nodes]
+    opts = options(__doc__, (1000, 3000), resumable=True).parse_args()
+    log = Log("radial", opts.resume)
+    rows = [log.result({"nodes": nodes}, functools.partial(measure, nodes)) for nodes in opts.nodes]
     save(opts, "radial", table(rows), draw(rows), ratios(rows), rows)
 
 
