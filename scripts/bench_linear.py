@@ -40,7 +40,8 @@ from jaxcrumple.solvers.two_level import TwoLevel
 from jaxcrumple.system import elastic_tangent, linearize
 from jaxcrumple.threads import single_threaded_blas
 
-BLOCKS = (48, 96, 192)
+# Block sizes of the paper's method. The largest meshes run the first, close to the best at every size.
+BLOCKS = (24, 48, 96)
 TOLERANCES = (1e-2, 1e-6)
 # Newton solves that share one two-level set-up.
 SHARED = 2
@@ -118,6 +119,7 @@ def measure(nodes: int, folder: Path, repeats: int, log: Log) -> list[dict]:
     for pattern, state, sigma, load, values, rhs in matrices(nodes, folder):
         for rtol in tolerances:
             case = {"nodes": nodes, "state": state, "sigma": sigma, "load": load, "rtol": rtol}
+            case["blocks"] = list(blocks)
             args = pattern, values, rhs, rtol, blocks, repeats
             found.append(log.result(case, lambda a=args: {"solvers": timed(*a)}))
             times = {k: f"{1e3 * value['seconds']:.1f} ms" for k, value in found[-1]["solvers"].items()}

@@ -25,7 +25,7 @@ class BlockCG(AbstractLinearSolver):
     """
 
     exact: ClassVar[bool] = False
-    block_size: int = eqx.field(static=True, default=96)
+    block_size: int = eqx.field(static=True, default=48)
     max_iterations: int = 20000
 
     def start(self, pattern: Pattern) -> Factor:
