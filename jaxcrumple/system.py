@@ -37,10 +37,10 @@ class RESULTS(eqx.Enumeration):  # type: ignore[misc]
 class History(eqx.Module):
     """Accepted points of the implicit stages, newest first.
 
-    `x` (6, n, 3); `v` (2, n, 3); `p` (6, h) or None; `steps` (6,): `steps[j]` is the time between
+    `x` and `v` (6, n, 3); `p` (6, h) or None; `steps` (6,): `steps[j]` is the time between
     points j and j+1; `count`: how many points are valid. 0 means that the one point's velocity need
     not balance the forces (a start, or the end of an explicit stage): a quasistatic step aligns it.
-    `order`: order of the next quasistatic step.
+    `order`: order of the next step, where its stage allows it.
     """
 
     x: Array
@@ -152,7 +152,7 @@ def restart_history(x: Array, v: Array, p: Array | None) -> History:
 
     past = None if p is None else repeat(p, HISTORY)
     one = jnp.asarray(1, int)
-    return History(repeat(x, HISTORY), repeat(v, 2), past, jnp.ones(HISTORY), one - 1, one)
+    return History(repeat(x, HISTORY), repeat(v, HISTORY), past, jnp.ones(HISTORY), one - 1, one)
 
 
 class Energies(NamedTuple):
@@ -251,15 +251,13 @@ class ImplicitStep(eqx.Module):
 def implicit_step(
     scene: Scene, history: History, alpha: Array, beta_h: Array, t: Array, inertia: Array | None = None
 ) -> ImplicitStep:
-    """The implicit step with equations at time `t` and coefficients `alpha` (6,) over the history.
-
-    With `inertia` (0 or 1) only the first two coefficients may differ from 0.
-    """
+    """The implicit step with equations at time `t`, coefficients `alpha` (6,) over the history, and with
+    `inertia` (0 or 1), or never any (None)."""
     return ImplicitStep(
         t=t,
         beta_h=beta_h,
         x_memory=jnp.tensordot(alpha, history.x, 1),
-        v_memory=None if inertia is None else jnp.tensordot(alpha[:2], history.v, 1),
+        v_memory=None if inertia is None else jnp.tensordot(alpha, history.v, 1),
         p_memory=None if history.p is None else alpha @ history.p,
         damping_memory=None if scene.damping is None else scene.damping.memory(history.x, alpha),
         inertia=jnp.zeros(()) if inertia is None else inertia,

@@ -46,6 +46,23 @@ def error_constant(h: Array, steps: Array, order: Array) -> Array:
     return beta_h / _lags(h, steps)[order]
 
 
+# How far the region of instability of BDF 3, 4 and 5 reaches to the left of the imaginary axis, in 1/h.
+REACH = (1.0 / 12.0, 2.0 / 3.0, 2.3272)
+# Room for steps that vary.
+REACH_MARGIN = 1.2
+
+
+def damped_order(h: Array, decay: Array) -> Array:
+    """Largest order of BDF, 2 to 5, that is stable with inertia at steps of `h` s.
+
+    `decay` in 1/s is the rate at which the least damped vibration decays: where drag is proportional to
+    mass, $\\lambda^2 + (b/m) \\lambda + \\omega^2 = 0$, and every complex eigenvalue has the real part -b/2m
+    whatever its frequency. Orders above 2 are unstable on a bounded region about the imaginary axis only,
+    which all modes leave as soon as h b/2m exceeds its reach.
+    """
+    return 2 + jnp.sum(h * decay > REACH_MARGIN * jnp.asarray(REACH))
+
+
 class TwoStep(NamedTuple):
     """A step of the two-step family for the unknown $Y = \\theta y_{new} + (1 - \\theta) y_0$.
 

@@ -1,4 +1,4 @@
-"""The implicit stages by one solve a step: BDF of order 1 to 5, and a two-step formula with inertia."""
+"""The implicit stages by one solve a step: BDF of order 1 to 5, with inertia where drag makes it stable."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ from jax import Array
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.geometry import curvature
 from jaxcrumple.model.scene import Scene
-from jaxcrumple.solvers.bdf import coefficients, error_constant, extrapolation, two_step
+from jaxcrumple.solvers.bdf import coefficients, damped_order, error_constant, extrapolation, two_step
 from jaxcrumple.solvers.implicit import (
     LOCAL_SHARE,
     AbstractImplicit,
@@ -30,8 +30,9 @@ ORDER_GAIN = 1.1
 class VariableOrder(AbstractImplicit):
     """Predictor, corrector and their difference as the error estimate.
 
-    Quasistatic steps use BDF of the order, 1 to `max_order`, that promises the longest step; steps
-    with inertia use the two-step family of `two_step`.
+    The order is the one, up to `max_order`, that promises the longest step. Steps with inertia use the
+    two-step family of `two_step`, and BDF 3 to 5 where the step is long enough for drag to make them
+    stable (`damped_order`).
 
     - `rtol`: tolerance on the local error in maximum norm: positions over $\\sqrt A$, p over 2.
     - `linear`: the linear solver.
@@ -77,22 +78,31 @@ class VariableOrder(AbstractImplicit):
     def _formula(self, scene: Scene, state: State, h: Array) -> "_Formula":
         history = state.history
         quasistatic_order = jnp.clip(history.order, 1, self.max_order)
-        alpha, beta_h = coefficients(h, history.steps, quasistatic_order)
-        share = error_constant(h, history.steps, quasistatic_order)
         if not self.inertia:
+            alpha, beta_h = coefficients(h, history.steps, quasistatic_order)
+            share = error_constant(h, history.steps, quasistatic_order)
             step = implicit_step(scene, history, alpha, beta_h, state.t + h)
             return _Formula(step, jnp.ones(()), quasistatic_order, share)
         moves = state.stage == IMPLICIT
         theta = jnp.where(moves, 1.0 / (1.0 + self.rho_infinity), 1.0)
-        # The two-step formula needs a third point for its error estimate, and the velocity at the second.
-        order = jnp.where(history.count > 2, 2, 1)
+        # With inertia the error estimate needs a third point, and order 2 the velocity at the second.
+        order = jnp.where(history.count > 2, jnp.clip(history.order, 2, self._stable_order(scene, h)), 1)
+        order = jnp.where(moves, order, quasistatic_order)
+        alpha, beta_h = coefficients(h, history.steps, order)
         two = two_step(h, history.steps, order, theta)
-        alpha, beta_h = jnp.where(moves, two.alpha, alpha), jnp.where(moves, two.beta_h, beta_h)
-        t = state.t + theta * h
-        step = implicit_step(scene, history, alpha, beta_h, t, jnp.where(moves, 1.0, 0.0))
-        return _Formula(
-            step, theta, jnp.where(moves, order, quasistatic_order), jnp.where(moves, two.error, share)
-        )
+        pair = moves & (order <= 2)
+        alpha, beta_h = jnp.where(pair, two.alpha, alpha), jnp.where(pair, two.beta_h, beta_h)
+        share = jnp.where(pair, two.error, error_constant(h, history.steps, order))
+        step = implicit_step(scene, history, alpha, beta_h, state.t + theta * h, jnp.where(moves, 1.0, 0.0))
+        return _Formula(step, theta, order, share)
+
+    def _stable_order(self, scene: Scene, h: Array) -> Array:
+        """Largest order of a step with inertia, 2 at least."""
+        if scene.drag is None:
+            return jnp.asarray(2)
+        decay = 0.5 * jnp.min(scene.drag.coefficient / scene.mass)
+        largest = jnp.where(self.rho_infinity > 0, 2, max(self.max_order, 2))
+        return jnp.minimum(damped_order(h, decay), largest)
 
     def _filtered(self, scene: Scene, state: State, step: ImplicitStep, change: Array, factor) -> Array:
         """Corrector minus predictor; of a first quasistatic step what the formula does not damp.
@@ -129,7 +139,9 @@ class VariableOrder(AbstractImplicit):
         errors = [jnp.asarray(jnp.inf), share * here / allowed, jnp.asarray(jnp.inf)]
         for place, other in ((0, order - 1), (2, order + 1)):
             known = (other >= 1) & (other < history.count) & (other <= self.max_order)
-            known = known & (state.stage != IMPLICIT)
+            if self.inertia:
+                stable = (other >= 2) & (other <= self._stable_order(scene, h))
+                known = known & ((state.stage != IMPLICIT) | stable)
             used = jnp.clip(other, 1, self.max_order)
             weights = extrapolation(h, history.steps, used + 1)
             p_gap = None if p is None else _gap(p, history.p, weights)
@@ -144,8 +156,7 @@ class VariableOrder(AbstractImplicit):
         reach = jnp.maximum(errors, 1e-10) ** (-1.0 / (orders + 1))
         best = jnp.argmax(reach * jnp.asarray([1.0, ORDER_GAIN, 1.0]))
         best = jnp.where((cause < 0) | (cause == CAUSES.index("error")), best, 1)
-        # Without a second point there is no estimate for another order.
-        next_order = jnp.where(state.stage == IMPLICIT, state.history.order, orders[best])
+        next_order = orders[best]
         return resized(h, orders[best], errors[best], cause), next_order
 
 
