@@ -12,9 +12,9 @@ from jaxcrumple.model.scene import Scene, sheet
 from jaxcrumple.run import resume_run, start_run
 from jaxcrumple.scenes import arch, cap, energy_drop, radial, relaxed_drop
 from jaxcrumple.simulate import SimulationError, Solution, frame_times, simulate
-from jaxcrumple.solvers.hybrid import integrate
+from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.relax import relax
-from jaxcrumple.solvers.scheme import Hybrid, hybrid
+from jaxcrumple.solvers.scheme import Integrator, integrator
 from jaxcrumple.solvers.solve import linear_solve
 from jaxcrumple.solvers.switch import Switch
 from jaxcrumple.system import (
@@ -38,7 +38,7 @@ __all__ = [
     "Cylinder",
     "ElementEnergy",
     "Gravity",
-    "Hybrid",
+    "Integrator",
     "LinearMotion",
     "Material",
     "Mesh",
@@ -66,9 +66,9 @@ __all__ = [
     "force",
     "frame_times",
     "hexagonal",
-    "hybrid",
     "initial_state",
     "integrate",
+    "integrator",
     "linear_solve",
     "load",
     "mass_matrix",

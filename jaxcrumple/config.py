@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from jaxcrumple.material import Material
 from jaxcrumple.scenes import SCENES, Setup
-from jaxcrumple.solvers.scheme import Hybrid, hybrid, switch_of
+from jaxcrumple.solvers.scheme import Integrator, integrator, switch_of
 from jaxcrumple.solvers.switch import Switch
 
 
@@ -46,10 +46,10 @@ class MaterialOptions(Options):
 
 
 class SolverOptions(Options):
-    """The integrator, None meaning the scheme's own; see `hybrid` and `Switch`."""
+    """The integrator, None meaning the scheme's own; see `integrator` and `Switch`."""
 
-    rtol: float = Field(1e-4, gt=0, lt=0.1, allow_inf_nan=False)
-    scheme: Literal["hybrid", "paper", "dynamic", "quasistatic", "explicit"] = "hybrid"
+    rtol: float = Field(1e-2, gt=0, lt=0.1, allow_inf_nan=False)
+    scheme: Literal["dynamic", "hybrid", "quasistatic", "explicit", "paper"] = "dynamic"
     linear: Literal["auto", "direct", "two-level", "block-cg"] | None = None
     max_order: int = Field(5, ge=1, le=5)
     rho_infinity: float = Field(0.0, ge=0, le=1)
@@ -67,9 +67,9 @@ class SolverOptions(Options):
         given = {key: value for key, value in given.items() if value is not None}
         return switch_of(self.scheme, self.rtol, **given)
 
-    def build(self) -> Hybrid:
+    def build(self) -> Integrator:
         """The integrator."""
-        return hybrid(
+        return integrator(
             self.rtol,
             scheme=self.scheme,
             linear=self.linear,

@@ -23,7 +23,7 @@ from jaxcrumple.io import (
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.scenes import Setup
 from jaxcrumple.simulate import Observer, Solution, frame_times, simulate
-from jaxcrumple.solvers.scheme import Hybrid
+from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.summary import physics
 from jaxcrumple.system import STAGES, State, initial_state
 
@@ -121,7 +121,7 @@ def _go(
     config: RunConfig,
     folder: RunDirectory,
     setup: Setup,
-    solver: Hybrid,
+    solver: Integrator,
     state: State,
     first_frame: int,
     spent: dict[str, float],

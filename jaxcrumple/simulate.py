@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.scene import Scene
-from jaxcrumple.solvers.hybrid import integrate
+from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.log import AFTER, BEFORE, Row
-from jaxcrumple.solvers.scheme import Hybrid, hybrid
+from jaxcrumple.solvers.scheme import Integrator, integrator
 from jaxcrumple.system import (
     CAUSES,
     EXPLICIT,
@@ -104,7 +104,7 @@ def simulate(
     state: State,
     times: ArrayLike,
     *,
-    solver: Hybrid | None = None,
+    solver: Integrator | None = None,
     observers: Sequence[Observer] = (),
     first_frame: int = 0,
     max_attempts: int | None = None,
@@ -116,7 +116,7 @@ def simulate(
     **Arguments:**
 
     - `times`: increasing frame times in s, or the end time alone.
-    - `solver`: `hybrid(...)`, by default at rtol 1e-4.
+    - `solver`: `integrator(...)`, by default `integrator()`.
     - `observers`: told of every frame and of every chunk of steps.
     - `first_frame`: index of the first of `times` still to be reached (for a resumed run).
     - `max_attempts`, `max_seconds`: budget of step attempts and of wall time; a run that exceeds one
@@ -128,9 +128,9 @@ def simulate(
     """
     check_state(scene, state)
     stops = _checked_times(times, first_frame, float(state.t))
-    solver = hybrid() if solver is None else solver
-    if not isinstance(solver, Hybrid):
-        raise ValueError(f"solver = {solver!r} must be what jaxcrumple.hybrid(rtol, scheme=...) makes.")
+    solver = integrator() if solver is None else solver
+    if not isinstance(solver, Integrator):
+        raise ValueError(f"solver = {solver!r} must be what jaxcrumple.integrator(rtol, scheme=...) makes.")
     record = _Record()
     watchers = (record, *observers)
     with single_threaded_blas():
@@ -200,7 +200,7 @@ def _attempts(state: State) -> int:
     return int(np.sum(counters.steps)) + int(np.sum(counters.rejected))
 
 
-def _compile(scene: Scene, state: State, solver: Hybrid) -> float:
+def _compile(scene: Scene, state: State, solver: Integrator) -> float:
     """Compile by a call that has nothing to do; return the seconds it took."""
     start = time.perf_counter()
     jax.block_until_ready(_integrate(scene, state, state.t, solver, as_float(0.0)))

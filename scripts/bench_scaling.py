@@ -20,7 +20,7 @@ import numpy as np
 from benchlib import STATES, confine, markdown, next_equations, options, paired, recorded, save
 from matplotlib.figure import Figure
 
-from jaxcrumple import hybrid, simulate
+from jaxcrumple import integrator, simulate
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.system import State, energies, linearize, residual
 from jaxcrumple.threads import single_threaded_blas
@@ -33,7 +33,7 @@ def steps_from(nodes: int, folder) -> dict[str, dict[str, float]]:
     found = {}
     for name in ("buckled", "crumpled"):
         scene, state = recorded(nodes, STATES[name], folder)
-        solver = hybrid(1e-4)
+        solver = integrator()
         simulate(scene, state, float(state.t) + 1.0, solver=solver, max_attempts=1)
         start, cpu = time.perf_counter(), time.process_time()
         end = simulate(scene, state, float(state.t) + 1.0, solver=solver, max_attempts=STEPS).state
@@ -48,7 +48,7 @@ def components(nodes: int, folder) -> dict[str, float]:
     """Seconds of the parts of a step, on the crumpled state."""
     scene, state = recorded(nodes, STATES["crumpled"], folder)
     step, x = next_equations(scene, state)
-    linear = hybrid(1e-4).implicit.linear
+    linear = integrator().implicit.linear
     value, values = eqx.filter_jit(linearize)(scene, step, x)
     start = eqx.filter_jit(linear.start)(scene.pattern)
     fresh = iter(range(1, 10**6))
@@ -94,7 +94,7 @@ def option_costs(nodes: int, folder) -> dict[str, float]:
             eqx.tree_at(lambda s: (s.p, s.history.p), state, (None, None)),
         ),
     }
-    linear = hybrid(1e-4).implicit.linear
+    linear = integrator().implicit.linear
 
     @eqx.filter_jit
     def iterations(scene: Scene, state: State):

@@ -17,7 +17,7 @@ import numpy as np
 from benchlib import markdown, options, save
 from matplotlib.figure import Figure
 
-from jaxcrumple import hybrid, initial_state, simulate
+from jaxcrumple import initial_state, integrator, simulate
 from jaxcrumple.scenes import Drop, Setup, arch, cap, energy_drop, relaxed_drop
 
 SCHEMES = ("hybrid", "dynamic", "explicit", "paper")
@@ -42,7 +42,7 @@ CASES = {
 
 def run(case: Case, setup: Setup, scheme: str) -> tuple[Drop, dict]:
     """Energies set free by the snap as one scheme finds it, and what the scheme took."""
-    solver, start = hybrid(RTOL, scheme=scheme), initial_state(setup.scene, setup.x)
+    solver, start = integrator(RTOL, scheme=scheme), initial_state(setup.scene, setup.x)
     simulate(setup.scene, start, END, solver=solver, max_attempts=0)
     begin = time.process_time()
     before = simulate(setup.scene, start, case.borne, solver=solver, throw=True).state

@@ -22,7 +22,7 @@ from scipy.interpolate import CloughTocher2DInterpolator
 
 jax.config.update("jax_enable_x64", True)
 
-from jaxcrumple import hybrid, initial_state, radial, simulate  # noqa: E402
+from jaxcrumple import initial_state, integrator, radial, simulate  # noqa: E402
 from jaxcrumple.model.geometry import curvature  # noqa: E402
 from jaxcrumple.model.scene import Scene  # noqa: E402
 from jaxcrumple.solvers.bdf import coefficients, extrapolation  # noqa: E402
@@ -129,7 +129,7 @@ class Recorded(NamedTuple):
 
 
 def recorded(nodes: int, t: float, folder: Path) -> Recorded:
-    """State of `radial` at time `t` s, run with the default scheme at rtol 1e-4, or read if it was."""
+    """State of `radial` at time `t` s, run with the default scheme and tolerance, or read if it was."""
     setup = radial(nodes)
     state = initial_state(setup.scene, setup.x)
     folder.mkdir(parents=True, exist_ok=True)
@@ -142,7 +142,7 @@ def recorded(nodes: int, t: float, folder: Path) -> Recorded:
         if nodes > LARGEST_RUN:
             state = refined(nodes, stop, folder)
         end = stop if nodes <= LARGEST_RUN else stop + SETTLE
-        state = simulate(setup.scene, state, end, solver=hybrid(1e-4), throw=True).state
+        state = simulate(setup.scene, state, end, solver=integrator(), throw=True).state
         eqx.tree_serialise_leaves(path, state)
     return Recorded(setup.scene, state)
 

@@ -8,8 +8,8 @@ from jaxcrumple.material import Material
 from jaxcrumple.meshgen import hexagonal
 from jaxcrumple.model.loads import LinearMotion, Prescribed
 from jaxcrumple.model.scene import sheet
-from jaxcrumple.solvers.hybrid import integrate
-from jaxcrumple.solvers.scheme import hybrid
+from jaxcrumple.solvers.integrate import integrate
+from jaxcrumple.solvers.scheme import integrator
 from jaxcrumple.solvers.switch import Switch
 from jaxcrumple.system import RESULTS
 
@@ -58,7 +58,7 @@ def strip_scene():
 
 def solver(rtol, scheme="quasistatic", **options):
     """The integrator with one stage; the hybrid one keeps to the stage it starts in."""
-    return hybrid(rtol, scheme=scheme, switch=FOREVER, **options)
+    return integrator(rtol, scheme=scheme, switch=FOREVER, **options)
 
 
 def with_terms(scene, *, drag=0.0, internal=0.0, gravity=(0.0, 0.0, 0.0)):

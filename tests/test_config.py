@@ -13,7 +13,7 @@ from jaxcrumple.material import Material
 from jaxcrumple.scenes import SCENES
 from jaxcrumple.solvers.block_cg import BlockCG
 from jaxcrumple.solvers.pair import BDFPair
-from jaxcrumple.solvers.scheme import SCHEMES, hybrid
+from jaxcrumple.solvers.scheme import SCHEMES, integrator
 
 # Settings and what the message about them must say.
 REFUSED = [
@@ -49,7 +49,7 @@ REFUSED = [
     ),
     ({"settings": ["max_order=0"]}, "max_order = '0': Input should be greater than or equal to 1"),
     ({"settings": ["rho_infinity=1.1"]}, "rho_infinity = '1.1': Input should be less than or equal to 1"),
-    ({"settings": ["scheme=both"]}, "scheme = 'both': Input should be 'hybrid', 'paper', 'dynamic', 'quasi"),
+    ({"settings": ["scheme=both"]}, "scheme = 'both': Input should be 'dynamic', 'hybrid', 'quasistat"),
     ({"settings": ["switch_down=0"]}, "switch_down = '0': Input should be greater than 0"),
     ({"settings": ["stages=hybrid"]}, "'stages' is unknown"),
     ({"settings": ["damping=none"]}, "damping = None: Input should be 'central' or 'paper'"),
@@ -155,7 +155,7 @@ def test_every_scheme_is_an_option():
     for scheme in SCHEMES:
         config = configure("radial", settings=[f"scheme={scheme}", "max_order=3", "rho_infinity=0.5"])
         assert config.options["damping"] == ("paper" if scheme == "paper" else "central")
-        solver, expected = config.solver.build(), hybrid(scheme=scheme, max_order=3, rho_infinity=0.5)
+        solver, expected = config.solver.build(), integrator(scheme=scheme, max_order=3, rho_infinity=0.5)
         assert eqx.tree_equal(solver, expected, typematch=True)
     assert configure("radial", settings=["scheme=paper", "damping=central"]).options["damping"] == "central"
 

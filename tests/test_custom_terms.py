@@ -14,12 +14,12 @@ from jaxcrumple.model.plasticity import AbstractFlowRule
 from jaxcrumple.model.scene import sheet
 from jaxcrumple.simulate import simulate
 from jaxcrumple.solvers.relax import relax
-from jaxcrumple.solvers.scheme import hybrid
+from jaxcrumple.solvers.scheme import integrator
 from jaxcrumple.system import initial_state
 
 NODES = 60
 # The linear solver needs no extra.
-SOLVER = hybrid(1e-5, linear="block-cg")
+SOLVER = integrator(1e-5, linear="block-cg")
 
 
 def tether(x, parameters, t):

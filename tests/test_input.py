@@ -13,8 +13,8 @@ from jaxcrumple import (
     Sphere,
     Switch,
     elastic_tangent,
-    hybrid,
     initial_state,
+    integrator,
     linear_solve,
     relax,
     sheet,
@@ -56,14 +56,14 @@ def test_switches(options, message):
         ({"rtol": np.nan}, "rtol = nan must be a number"),
         ({"rtol": -1e-4}, "rtol = -0.0001 must be"),
         ({"max_step": "1"}, "max_step = '1' s must be positive"),
-        ({"scheme": "hybird"}, "'hybird' is unknown; choose one of hybrid, paper"),
+        ({"scheme": "hybird"}, "'hybird' is unknown; choose one of dynamic, hybrid"),
         ({"linear": 3}, "linear solver 3 is unknown; choose one of auto, direct"),
         ({"switch": {"up": 1.0}}, "must be a jaxcrumple.Switch"),
     ],
 )
 def test_solvers(options, message):
     with pytest.raises(ValueError, match=message):
-        hybrid(**options)
+        integrator(**options)
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_times_that_have_passed():
 
 
 def test_what_is_no_solver():
-    with pytest.raises(ValueError, match=r"solver = 'hybrid' must be what jaxcrumple\.hybrid"):
+    with pytest.raises(ValueError, match=r"solver = 'hybrid' must be what jaxcrumple\.integrator"):
         simulate(scene(), state(), 0.1, solver="hybrid")
 
 
@@ -145,7 +145,7 @@ def test_a_wall_that_stands_still_is_given_by_a_number():
 def test_whole_numbers_compile_to_the_same_program():
     """An int where a float is usual must not cost a compilation of a minute."""
     pairs = [
-        (hybrid(1e-4, max_step=1), hybrid(1e-4, max_step=1.5)),
+        (integrator(1e-4, max_step=1), integrator(1e-4, max_step=1.5)),
         (Switch(up=1, down=0, dwell=2), Switch(up=1.5, down=0.5, dwell=2.5)),
         (Sphere([0, 0, 0], 1), Sphere([0.0, 0.5, 0.0], 1.5)),
     ]

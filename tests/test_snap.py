@@ -18,7 +18,7 @@ from jaxcrumple.scenes.arch import strip
 from jaxcrumple.scenes.snap import fixed
 from jaxcrumple.simulate import simulate
 from jaxcrumple.solvers.relax import relax
-from jaxcrumple.solvers.scheme import hybrid
+from jaxcrumple.solvers.scheme import integrator
 from jaxcrumple.system import energies, force, initial_state, tangent
 
 NODES = {"arch": 198, "cap": 200}
@@ -284,7 +284,7 @@ def test_drop_needs_two_equilibria():
 @scenes
 def test_integrator_ends_in_the_inverted_equilibrium(name):
     setup, t_end = built(name), SCENES[name].t_end
-    solver = hybrid(1e-3, scheme="dynamic")
+    solver = integrator(1e-3, scheme="dynamic")
     end = simulate(setup.scene, initial_state(setup.scene, setup.x), t_end, solver=solver, throw=True)
     inverted = rested(setup, t_end, drop(name).after.state.x)
     span = float(jnp.ptp(setup.x[:, 0]))

@@ -16,7 +16,7 @@ from jaxcrumple.solvers.switch import Switch
 from jaxcrumple.solvers.variable_order import VariableOrder
 from jaxcrumple.system import EXPLICIT, IMPLICIT, QUASISTATIC
 
-SCHEMES = ("hybrid", "paper", "dynamic", "quasistatic", "explicit")
+SCHEMES = ("dynamic", "hybrid", "quasistatic", "explicit", "paper")
 # Thresholds of the switch in units of rtol: three times less error than ten times these, at the same cost.
 SWITCH_UP, SWITCH_DOWN = 3.0, 1.0
 
@@ -26,7 +26,7 @@ SWITCH_UP, SWITCH_DOWN = 3.0, 1.0
 SNAP_SHARE, REFERENCE_SHARE = 0.1, 0.002
 
 
-class Hybrid(eqx.Module):
+class Integrator(eqx.Module):
     """Stages and their options.
 
     - `stages`: those the scheme may use, first that in which a new state starts.
@@ -62,25 +62,25 @@ def switch_of(scheme: str, rtol: float, **options: Any) -> Switch:
     return Switch(**own | options)
 
 
-def hybrid(
-    rtol: float = 1e-4,
+def integrator(
+    rtol: float = 1e-2,
     *,
-    scheme: str = "hybrid",
+    scheme: str = "dynamic",
     linear: str | AbstractLinearSolver | None = None,
     switch: Switch | None = None,
     max_order: int = 5,
     rho_infinity: float = 0.0,
     max_step: Array | float = jnp.inf,
-) -> Hybrid:
+) -> Integrator:
     """An integrator at relative tolerance `rtol`, with steps of `max_step` s at most.
 
     **Arguments:**
 
-    - `scheme`: "hybrid" (quasistatic, with inertia when accelerations call for it), "paper" (the
-      paper's: BDF pair, explicit snaps, its thresholds and its preconditioner), "dynamic" (implicit
-      with inertia throughout: the reference), "quasistatic" (never inertia), "explicit" (throughout).
+    - `scheme`: "dynamic" (implicit with inertia throughout), "hybrid" (quasistatic, with inertia when
+      accelerations call for it), "quasistatic" (never inertia), "explicit" (throughout), "paper" (the
+      paper's: BDF pair, explicit snaps, its thresholds and its preconditioner).
     - `linear`: a linear solver or its name; by default "auto", and "block-cg" in the paper's scheme.
-    - `max_order`: largest order of the quasistatic stage, 1 to 5.
+    - `max_order`: largest order of an implicit step, 1 to 5; with inertia 2 at least.
     - `rho_infinity`: high-frequency dissipation of implicit steps with inertia: the share of a mode of
       infinite frequency that a step leaves, from 0 to 1.
 
@@ -88,7 +88,7 @@ def hybrid(
     unknown scheme, linear solver or switch, an order or a dissipation out of range.
     """
     if isinstance(rtol, str) or not 0 < rtol < 0.1:
-        raise ValueError(f"rtol = {rtol!r} must be a number between 0 and 0.1; 1e-4 is a good start.")
+        raise ValueError(f"rtol = {rtol!r} must be a number between 0 and 0.1; 1e-2 is a good start.")
     if isinstance(max_step, str) or not max_step > 0:
         raise ValueError(f"max_step = {max_step!r} s must be positive; leave it out for no limit.")
     if max_order not in (1, 2, 3, 4, 5):
@@ -105,11 +105,11 @@ def hybrid(
     tolerance, rho = jnp.asarray(float(rtol)), jnp.asarray(float(rho_infinity))
     explicit, switch = Explicit(tolerance), switch or switch_of(scheme, rtol)
     if scheme == "paper":
-        return Hybrid(
+        return Integrator(
             (QUASISTATIC, EXPLICIT), BDFPair(tolerance, solver), explicit, switch, max_step=max_step
         )
     if scheme == "explicit":
-        return Hybrid((EXPLICIT,), None, explicit, switch, max_step=max_step)
+        return Integrator((EXPLICIT,), None, explicit, switch, max_step=max_step)
     inertia = scheme != "quasistatic"
     share = jnp.asarray(SNAP_SHARE if scheme == "hybrid" else REFERENCE_SHARE)
     steps = VariableOrder(tolerance, solver, rho, share, inertia=inertia, max_order=max_order)
@@ -119,4 +119,4 @@ def hybrid(
         "dynamic": (IMPLICIT,),
         "quasistatic": (QUASISTATIC,),
     }[scheme]
-    return Hybrid(stages, steps, explicit if EXPLICIT in stages else None, switch, max_step=max_step)
+    return Integrator(stages, steps, explicit if EXPLICIT in stages else None, switch, max_step=max_step)

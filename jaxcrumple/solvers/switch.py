@@ -19,7 +19,7 @@ class Switch(eqx.Module):
     """Thresholds on the mean of the last accelerations (the window's length is the state's).
 
     - `up`: above it the quasistatic stage hands over to a stage with inertia.
-    - `down`: below it that stage hands back. The schemes of `hybrid` take 3 rtol and rtol, so that what
+    - `down`: below it that stage hands back. `integrator` takes 3 rtol and rtol, so that what
       quasistatic steps leave out vanishes with the tolerance; the defaults are those of rtol = 1e-4.
     - `ignore`: quasistatic steps after a restart whose accelerations do not count (the velocity jumps to
       the one that balances the forces, and low order makes a spurious peak).

@@ -18,8 +18,8 @@ from jaxcrumple.model.scene import sheet
 from jaxcrumple.scenes import radial
 from jaxcrumple.simulate import SimulationError, frame_times, simulate
 from jaxcrumple.solvers.choice import direct_available
-from jaxcrumple.solvers.hybrid import integrate
-from jaxcrumple.solvers.scheme import SCHEMES, hybrid
+from jaxcrumple.solvers.integrate import integrate
+from jaxcrumple.solvers.scheme import SCHEMES, integrator
 from jaxcrumple.solvers.switch import Switch
 from jaxcrumple.system import IMPLICIT, QUASISTATIC, STAGES, initial_state
 
@@ -29,9 +29,9 @@ SNAP_END = 0.02
 SHEET = Material(drag_rate=1500.0)
 
 
-def solver(rtol=1e-4, **options):
-    """The hybrid integrator with the linear solver that needs no extra."""
-    return hybrid(rtol, linear="block-cg", **options)
+def solver(rtol=1e-4, scheme="hybrid", **options):
+    """The integrator that has all stages, with the linear solver that needs no extra."""
+    return integrator(rtol, scheme=scheme, linear="block-cg", **options)
 
 
 @functools.cache
@@ -150,7 +150,7 @@ def test_the_default_program_calls_no_lapack():
     traced = eqx.filter_make_jaxpr(integrate)
     for scheme in SCHEMES:
         if scheme != "paper":
-            options = hybrid(scheme=scheme, linear="direct" if direct_available() else "two-level")
+            options = integrator(scheme=scheme, linear="direct" if direct_available() else "two-level")
             jaxpr, _, _ = traced(setup().scene, start(), jnp.asarray(1.0), options)
             names = {equation.primitive.name for equation in _equations(jaxpr.jaxpr)}
             assert not names & {"eigh", "svd", "lu", "qr", "geqrf"}

@@ -15,7 +15,7 @@ from jaxcrumple.solvers.bdf import push
 from jaxcrumple.solvers.implicit import Attempt, aligns
 from jaxcrumple.solvers.linear import Factor
 from jaxcrumple.solvers.log import AFTER, BEFORE, STEP, Log, Row, append, empty_log
-from jaxcrumple.solvers.scheme import Hybrid
+from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.solvers.switch import fresh_monitor, has_settled, observe, wants_inertia
 from jaxcrumple.system import (
     CAUSES,
@@ -60,7 +60,7 @@ class _Carry(NamedTuple):
 
 
 def integrate(
-    scene: Scene, state: State, t_stop: Array, solver: Hybrid, max_attempts: ArrayLike = jnp.inf
+    scene: Scene, state: State, t_stop: Array, solver: Integrator, max_attempts: ArrayLike = jnp.inf
 ) -> tuple[State, Log]:
     """Advance a state until `t_stop`, or until `max_attempts` steps or this call's own budget are used up.
 
@@ -131,7 +131,7 @@ def _select(keep: Array, new, old):
     return jax.tree.map(lambda a, b: jnp.where(keep, a, b), new, old)
 
 
-def _implicit_stages(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid) -> _Carry:
+def _implicit_stages(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
     """Run the quasistatic stage and the implicit one with inertia, until an explicit one is due."""
     limit = explicit.stability_limit(scene, carry.state.x)
 
@@ -144,7 +144,7 @@ def _implicit_stages(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid)
     return jax.lax.while_loop(unfinished, body, carry)
 
 
-def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid, limit) -> _Carry:
+def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator, limit) -> _Carry:
     state = carry.state
     assert solver.implicit is not None and carry.factor is not None
     wanted = jnp.minimum(state.h, solver.max_step)
@@ -170,7 +170,7 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid, l
     return _tried(carry, moved, log, tried.factor, IMPLICIT_COST, tried.accepted & lands)
 
 
-def _moved(scene: Scene, state: State, tried: Attempt, h: Array, t: Array, solver: Hybrid) -> State:
+def _moved(scene: Scene, state: State, tried: Attempt, h: Array, t: Array, solver: Integrator) -> State:
     """The state after an implicit step, or as it was where the step is rejected."""
     moved = eqx.tree_at(
         lambda s: (s.t, s.x, s.v, s.history, s.monitor),
@@ -186,7 +186,7 @@ def _moved(scene: Scene, state: State, tried: Attempt, h: Array, t: Array, solve
     return _select(tried.accepted, moved, state)
 
 
-def _change_stage(scene: Scene, state: State, log: Log, tried: Attempt, solver: Hybrid, limit):
+def _change_stage(scene: Scene, state: State, log: Log, tried: Attempt, solver: Integrator, limit):
     """Hand over after an implicit step where its stage cannot or need not go on."""
     quasistatic, inertial = state.stage == QUASISTATIC, state.stage == IMPLICIT
     rejected, short = ~tried.accepted, state.h < COLLAPSE * limit
@@ -252,7 +252,7 @@ def _with_result(state: State, failed: Array, result: Any) -> State:
     return eqx.tree_at(lambda s: s.result, state, RESULTS.where(failed, result, state.result))
 
 
-def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid) -> _Carry:
+def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
     """Run the explicit stage for as long as it lasts."""
     assert solver.explicit is not None
     cap = solver.explicit.safety * explicit.stability_limit(scene, carry.state.x)
@@ -270,7 +270,7 @@ def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Hybrid) 
     return jax.lax.while_loop(unfinished, body, (carry, stages, jnp.asarray(True)))[0]
 
 
-def _explicit_step(scene: Scene, carry: _Carry, t_stop, solver: Hybrid, cap, stages, fresh):
+def _explicit_step(scene: Scene, carry: _Carry, t_stop, solver: Integrator, cap, stages, fresh):
     state = carry.state
     assert solver.explicit is not None
     started = state.h_explicit > 0
