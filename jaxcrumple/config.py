@@ -49,7 +49,7 @@ class SolverOptions(Options):
     """The integrator, None meaning the scheme's own; see `integrator` and `Switch`."""
 
     rtol: float = Field(1e-2, gt=0, lt=0.1, allow_inf_nan=False)
-    scheme: Literal["dynamic", "hybrid", "quasistatic", "explicit", "paper"] = "dynamic"
+    scheme: Literal["hybrid", "dynamic", "alternating", "quasistatic", "explicit", "paper"] = "hybrid"
     linear: Literal["auto", "direct", "two-level", "block-cg"] | None = None
     max_order: int = Field(5, ge=1, le=5)
     rho_infinity: float = Field(0.0, ge=0, le=1)

@@ -228,7 +228,7 @@ def plot_run(folder: str | Path) -> list[Path]:
 def _thresholds(run: Run) -> list[float]:
     """The switch's thresholds as values of a_max/a_ref; none where the scheme has no switch."""
     options = SolverOptions(**run.config.get("solver", {}))
-    if options.scheme not in ("hybrid", "paper"):
+    if options.scheme not in ("alternating", "paper"):
         return []
     switch, material = options.switch(), MaterialOptions(**run.config.get("material", {})).build()
     inertial_time = 1.0 / material.drag_rate if material.drag_rate else np.inf

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from jaxcrumple import initial_state, integrator, simulate
 from jaxcrumple.scenes import Drop, Setup, arch, cap, energy_drop, relaxed_drop
 
-SCHEMES = ("hybrid", "dynamic", "explicit", "paper")
+SCHEMES = ("hybrid", "dynamic", "alternating", "explicit", "paper")
 RTOL, END = 1e-4, 0.05
 
 

@@ -25,7 +25,7 @@ SMALL = [
     "--set",
     "frames=2",
     "--set",
-    "scheme=hybrid",
+    "scheme=alternating",
     "--set",
     "rtol=1e-4",
     "--set",

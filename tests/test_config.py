@@ -49,7 +49,7 @@ REFUSED = [
     ),
     ({"settings": ["max_order=0"]}, "max_order = '0': Input should be greater than or equal to 1"),
     ({"settings": ["rho_infinity=1.1"]}, "rho_infinity = '1.1': Input should be less than or equal to 1"),
-    ({"settings": ["scheme=both"]}, "scheme = 'both': Input should be 'dynamic', 'hybrid', 'quasistat"),
+    ({"settings": ["scheme=both"]}, "scheme = 'both': Input should be 'hybrid', 'dynamic', 'alternat"),
     ({"settings": ["switch_down=0"]}, "switch_down = '0': Input should be greater than 0"),
     ({"settings": ["stages=hybrid"]}, "'stages' is unknown"),
     ({"settings": ["damping=none"]}, "damping = None: Input should be 'central' or 'paper'"),

@@ -56,7 +56,7 @@ def test_switches(options, message):
         ({"rtol": np.nan}, "rtol = nan must be a number"),
         ({"rtol": -1e-4}, "rtol = -0.0001 must be"),
         ({"max_step": "1"}, "max_step = '1' s must be positive"),
-        ({"scheme": "hybird"}, "'hybird' is unknown; choose one of dynamic, hybrid"),
+        ({"scheme": "hybird"}, "'hybird' is unknown; choose one of hybrid, dynamic"),
         ({"linear": 3}, "linear solver 3 is unknown; choose one of auto, direct"),
         ({"switch": {"up": 1.0}}, "must be a jaxcrumple.Switch"),
     ],

@@ -153,8 +153,8 @@ def test_pictures_of_a_run(tmp_path, mesh, folded, history):
 @pytest.mark.parametrize(
     ("solver", "up", "down"),
     [
-        ({"scheme": "hybrid", "rtol": 1e-4}, 3e-4, 1e-4),
-        ({"scheme": "hybrid", "rtol": 1e-5, "switch_up": 1e-3}, 1e-3, 1e-3 / 3),
+        ({"scheme": "alternating", "rtol": 1e-4}, 3e-4, 1e-4),
+        ({"scheme": "alternating", "rtol": 1e-5, "switch_up": 1e-3}, 1e-3, 1e-3 / 3),
         ({"scheme": "paper"}, None, None),
         ({"scheme": "dynamic"}, None, None),
     ],

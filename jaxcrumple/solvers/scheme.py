@@ -16,7 +16,7 @@ from jaxcrumple.solvers.switch import Switch
 from jaxcrumple.solvers.variable_order import VariableOrder
 from jaxcrumple.system import EXPLICIT, IMPLICIT, QUASISTATIC
 
-SCHEMES = ("dynamic", "hybrid", "quasistatic", "explicit", "paper")
+SCHEMES = ("hybrid", "dynamic", "alternating", "quasistatic", "explicit", "paper")
 # Thresholds of the switch in units of rtol: three times less error than ten times these, at the same cost.
 SWITCH_UP, SWITCH_DOWN = 3.0, 1.0
 
@@ -65,7 +65,7 @@ def switch_of(scheme: str, rtol: float, **options: Any) -> Switch:
 def integrator(
     rtol: float = 1e-2,
     *,
-    scheme: str = "dynamic",
+    scheme: str = "hybrid",
     linear: str | AbstractLinearSolver | None = None,
     switch: Switch | None = None,
     max_order: int = 5,
@@ -76,9 +76,10 @@ def integrator(
 
     **Arguments:**
 
-    - `scheme`: "dynamic" (implicit with inertia throughout), "hybrid" (quasistatic, with inertia when
-      accelerations call for it), "quasistatic" (never inertia), "explicit" (throughout), "paper" (the
-      paper's: BDF pair, explicit snaps, its thresholds and its preconditioner).
+    - `scheme`: "hybrid" (inertia throughout, by implicit steps or, where these get as short, by explicit
+      ones), "dynamic" (implicit with inertia), "alternating" (quasistatic, and as "hybrid" when accelerations
+      call for inertia), "quasistatic" (never inertia), "explicit", "paper" (the paper's: BDF pair,
+      explicit snaps, its thresholds and its preconditioner).
     - `linear`: a linear solver or its name; by default "auto", and "block-cg" in the paper's scheme.
     - `max_order`: largest order of an implicit step, 1 to 5; with inertia 2 at least.
     - `rho_infinity`: high-frequency dissipation of implicit steps with inertia: the share of a mode of
@@ -111,12 +112,13 @@ def integrator(
     if scheme == "explicit":
         return Integrator((EXPLICIT,), None, explicit, switch, max_step=max_step)
     inertia = scheme != "quasistatic"
-    share = jnp.asarray(SNAP_SHARE if scheme == "hybrid" else REFERENCE_SHARE)
+    share = jnp.asarray(SNAP_SHARE if scheme == "alternating" else REFERENCE_SHARE)
     steps = VariableOrder(tolerance, solver, rho, share, inertia=inertia, max_order=max_order)
     stages = {
-        # A state at rest or with a velocity of its own: inertia decides what becomes of it.
-        "hybrid": (IMPLICIT, QUASISTATIC, EXPLICIT),
+        "hybrid": (IMPLICIT, EXPLICIT),
         "dynamic": (IMPLICIT,),
+        # A state at rest or with a velocity of its own: inertia decides what becomes of it.
+        "alternating": (IMPLICIT, QUASISTATIC, EXPLICIT),
         "quasistatic": (QUASISTATIC,),
     }[scheme]
     return Integrator(stages, steps, explicit if EXPLICIT in stages else None, switch, max_step=max_step)
