@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from jaxcrumple.material import Material
 from jaxcrumple.scenes import SCENES, Setup
-from jaxcrumple.solvers.scheme import Integrator, integrator, switch_of
+from jaxcrumple.solvers.scheme import Integrator, Scheme, integrator, switch_of
 from jaxcrumple.solvers.switch import Switch
 
 
@@ -49,7 +49,7 @@ class SolverOptions(Options):
     """The integrator, None meaning the scheme's own; see `integrator` and `Switch`."""
 
     rtol: float = Field(1e-2, gt=0, lt=0.1, allow_inf_nan=False)
-    scheme: Literal["hybrid", "dynamic", "alternating", "quasistatic", "explicit", "paper"] = "hybrid"
+    scheme: Scheme = "hybrid"
     linear: Literal["auto", "direct", "two-level", "block-cg"] | None = None
     max_order: int = Field(5, ge=1, le=5)
     rho_infinity: float = Field(0.0, ge=0, le=1)

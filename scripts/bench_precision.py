@@ -13,7 +13,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import numpy as np
 from benchlib import STATES, Log, markdown, options, recorded, save
@@ -91,12 +90,12 @@ def stretches(kinds: list[str], nodes: int, folder: Path) -> dict[str, Callable[
 def run(stretch: Stretch, scheme: str, linear: str | None, rtol: float, patience: float = PATIENCE):
     """Positions at the stretch's times, CPU seconds, steps and result of one run; compiling apart."""
     solver = integrator(rtol, scheme=scheme, linear=linear)
-    state = eqx.tree_at(lambda s: s.h, stretch.state, stretch.state.h)
-    simulate(stretch.scene, state, stretch.times, solver=solver, max_attempts=1)
+    scene, state, times = stretch
+    simulate(scene, state, times, solver=solver, max_attempts=1)
     start = time.process_time()
-    solution = simulate(stretch.scene, state, stretch.times, solver=solver, max_seconds=patience)
+    solution = simulate(scene, state, times, solver=solver, max_seconds=patience)
     spent = time.process_time() - start
-    counters, before = solution.state.counters, stretch.state.counters
+    counters, before = solution.state.counters, state.counters
     steps = np.asarray(counters.steps) - np.asarray(before.steps)
     return solution, spent, steps
 

@@ -17,23 +17,9 @@ from jaxcrumple.config import configure
 from jaxcrumple.io import CheckpointError, RunDirectory, RunDirectoryError
 from jaxcrumple.run import resume_run, start_run
 
-SMALL = [
-    "--nodes",
-    "60",
-    "--t-end",
-    "0.02",
-    "--set",
-    "frames=2",
-    "--set",
-    "scheme=alternating",
-    "--set",
-    "rtol=1e-4",
-    "--set",
-    "sweeps=5",
-    "--set",
-    "drag_rate=2300",
-]
-CONFIG = configure("radial", nodes=60, t_end=0.02, settings=SMALL[5::2])
+SETTINGS = ["frames=2", "scheme=alternating", "rtol=1e-4", "sweeps=5", "drag_rate=2300"]
+SMALL = ["--nodes", "60", "--t-end", "0.02", *(word for item in SETTINGS for word in ("--set", item))]
+CONFIG = configure("radial", nodes=60, t_end=0.02, settings=SETTINGS)
 
 
 def command(*arguments):

@@ -1,6 +1,6 @@
 """How to integrate: which stages a scheme has, and the options of each."""
 
-from typing import Any
+from typing import Any, Literal, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,7 +16,8 @@ from jaxcrumple.solvers.switch import Switch
 from jaxcrumple.solvers.variable_order import VariableOrder
 from jaxcrumple.system import EXPLICIT, IMPLICIT, QUASISTATIC
 
-SCHEMES = ("hybrid", "dynamic", "alternating", "quasistatic", "explicit", "paper")
+Scheme = Literal["hybrid", "dynamic", "alternating", "quasistatic", "explicit", "paper"]
+SCHEMES = get_args(Scheme)
 # Thresholds of the switch in units of rtol: three times less error than ten times these, at the same cost.
 SWITCH_UP, SWITCH_DOWN = 3.0, 1.0
 

@@ -56,7 +56,7 @@ class VariableOrder(AbstractImplicit):
     def attempt(self, scene: Scene, state: State, h: Array, factor: Factor) -> Attempt:
         """Try a step of size `h` s in the state's stage."""
         formula = self._formula(scene, state, h)
-        predicted = _predicted(scene, state, h, formula.order)
+        predicted = _predicted(scene, state, h, formula.orders.used)
         theta, step = formula.theta, formula.step
         guess = theta * predicted + (1.0 - theta) * state.x
         tolerance = self.newton_share * LOCAL_SHARE * self.rtol * scene.length_scale
@@ -68,33 +68,43 @@ class VariableOrder(AbstractImplicit):
         change = self._filtered(scene, state, step, x - predicted, solution.factor)
         errors = self._errors(scene, state, h, formula, x, p, change)
         cause = judge(scene, state, solution, x, errors[1])
-        next_h, next_order = self._next(state, h, formula.order, errors, cause)
+        next_h, next_order = self._next(state, h, formula.orders.used, errors, cause)
         acceleration = jnp.where(state.stage == IMPLICIT, step.acceleration(mean_v), (v - state.v) / h)
         return Attempt(
-            x, v, p, acceleration, errors[1], cause, formula.order, next_h, next_order,
+            x, v, p, acceleration, errors[1], cause, formula.orders.used, next_h, next_order,
             solution.factor, solution.iterations, solution.linear, solution.factors,
         )  # fmt: skip
 
     def _formula(self, scene: Scene, state: State, h: Array) -> "_Formula":
-        history = state.history
-        quasistatic_order = jnp.clip(history.order, 1, self.max_order)
+        steps = state.history.steps
+        orders = self._orders(scene, state, h)
+        alpha, beta_h = coefficients(h, steps, orders.used)
+        share = error_constant(h, steps, orders.used)
         if not self.inertia:
-            alpha, beta_h = coefficients(h, history.steps, quasistatic_order)
-            share = error_constant(h, history.steps, quasistatic_order)
-            step = implicit_step(scene, history, alpha, beta_h, state.t + h)
-            return _Formula(step, jnp.ones(()), quasistatic_order, share)
+            step = implicit_step(scene, state.history, alpha, beta_h, state.t + h)
+            return _Formula(step, jnp.ones(()), orders, share)
         moves = state.stage == IMPLICIT
         theta = jnp.where(moves, 1.0 / (1.0 + self.rho_infinity), 1.0)
-        # With inertia the error estimate needs a third point, and order 2 the velocity at the second.
-        order = jnp.where(history.count > 2, jnp.clip(history.order, 2, self._stable_order(scene, h)), 1)
-        order = jnp.where(moves, order, quasistatic_order)
-        alpha, beta_h = coefficients(h, history.steps, order)
-        two = two_step(h, history.steps, order, theta)
-        pair = moves & (order <= 2)
+        two = two_step(h, steps, orders.used, theta)
+        pair = moves & (orders.used <= 2)
         alpha, beta_h = jnp.where(pair, two.alpha, alpha), jnp.where(pair, two.beta_h, beta_h)
-        share = jnp.where(pair, two.error, error_constant(h, history.steps, order))
-        step = implicit_step(scene, history, alpha, beta_h, state.t + theta * h, jnp.where(moves, 1.0, 0.0))
-        return _Formula(step, theta, order, share)
+        share = jnp.where(pair, two.error, share)
+        inertia = jnp.where(moves, 1.0, 0.0)
+        step = implicit_step(scene, state.history, alpha, beta_h, state.t + theta * h, inertia)
+        return _Formula(step, theta, orders, share)
+
+    def _orders(self, scene: Scene, state: State, h: Array) -> "_Orders":
+        history = state.history
+        highest = jnp.asarray(self.max_order)
+        orders = _Orders(jnp.asarray(1), jnp.clip(history.order, 1, highest), highest)
+        if not self.inertia:
+            return orders
+        stable = self._stable_order(scene, h)
+        # With inertia the error estimate needs a third point, and order 2 the velocity at the second.
+        used = jnp.where(history.count > 2, jnp.clip(history.order, 2, stable), 1)
+        moves = state.stage == IMPLICIT
+        inertial = _Orders(jnp.asarray(2), used, stable)
+        return jax.tree.map(lambda a, b: jnp.where(moves, a, b), inertial, orders)
 
     def _stable_order(self, scene: Scene, h: Array) -> Array:
         """Largest order of a step with inertia, 2 at least."""
@@ -123,7 +133,8 @@ class VariableOrder(AbstractImplicit):
 
     def _errors(self, scene: Scene, state: State, h, formula: "_Formula", x, p, change) -> Array:
         """Local errors (3,) of the orders below, at and above the step's, in units of the tolerance."""
-        history, order = state.history, formula.order
+        history, orders = state.history, formula.orders
+        order = orders.used
         starts = history.count <= 1
         here = _size(scene, change, None)
         if p is not None and scene.plasticity is not None and state.p is not None:
@@ -138,10 +149,7 @@ class VariableOrder(AbstractImplicit):
         allowed = jnp.where(aligns(state), 1.0, part) * self.rtol
         errors = [jnp.asarray(jnp.inf), share * here / allowed, jnp.asarray(jnp.inf)]
         for place, other in ((0, order - 1), (2, order + 1)):
-            known = (other >= 1) & (other < history.count) & (other <= self.max_order)
-            if self.inertia:
-                stable = (other >= 2) & (other <= self._stable_order(scene, h))
-                known = known & ((state.stage != IMPLICIT) | stable)
+            known = (other >= orders.lowest) & (other < history.count) & (other <= orders.highest)
             used = jnp.clip(other, 1, self.max_order)
             weights = extrapolation(h, history.steps, used + 1)
             p_gap = None if p is None else _gap(p, history.p, weights)
@@ -160,12 +168,20 @@ class VariableOrder(AbstractImplicit):
         return resized(h, orders[best], errors[best], cause), next_order
 
 
+class _Orders(NamedTuple):
+    """The order that a step has, and between which ones that of the next may be chosen."""
+
+    lowest: Array
+    used: Array
+    highest: Array
+
+
 class _Formula(NamedTuple):
-    """A step's equations, its theta, its order, and the error's share of corrector - predictor."""
+    """A step's equations, its theta, its orders, and the error's share of corrector - predictor."""
 
     step: ImplicitStep
     theta: Array
-    order: Array
+    orders: _Orders
     share: Array
 
 
