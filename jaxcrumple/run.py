@@ -52,7 +52,7 @@ class Recorder:
         """Append rows, then checkpoint."""
         numbers = history.assign(stage=[STAGES.index(stage) for stage in history["stage"]])
         self.folder.append_history(list(history.columns), numbers.to_numpy(float))
-        self.folder.append_events(events.to_dict("records"))
+        self.folder.append_events(events.to_dict("records"), list(events.columns))
         self.checkpoint(state)
 
     def checkpoint(self, state: State) -> None:

@@ -78,8 +78,9 @@ class State(eqx.Module):
     """All that evolves. Fixed structure, so that a checkpoint is the whole State.
 
     `t` s; `x` (n, 3) m; `v` (n, 3) m/s; `p` (h,) rest curvature or None in an elastic scene; `h`,
-    `h_explicit`: next step of the implicit stages and of the explicit one in s; `stage`:
-    `QUASISTATIC`, `IMPLICIT`, `EXPLICIT`, or -1 for that in which the scheme starts.
+    `h_explicit`: next step of the implicit stages and of the explicit one in s; `limit`: stability
+    limit of explicit steps in s, measured now and then; `stage`: `QUASISTATIC`, `IMPLICIT`, `EXPLICIT`,
+    or -1 for that in which the scheme starts.
     """
 
     t: Array
@@ -88,6 +89,7 @@ class State(eqx.Module):
     p: Array | None
     h: Array
     h_explicit: Array
+    limit: Array
     stage: Array
     history: History
     monitor: Monitor
@@ -120,6 +122,7 @@ def initial_state(scene: Scene, x: Array, v: Array | None = None, *, window: int
         p=p,
         h=nought,
         h_explicit=nought,
+        limit=nought,
         stage=jnp.asarray(-1, int),
         history=restart_history(x, v, p),
         monitor=Monitor(jnp.zeros(window), zero, nought),

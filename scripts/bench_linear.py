@@ -57,8 +57,8 @@ def matrices(nodes: int, folder: Path):
         step, guess = next_equations(scene, state)
         value, values = eqx.filter_jit(linearize)(scene, step, guess)
         drag_rate = float(jnp.mean(scene.drag.coefficient) / jnp.mean(scene.mass))
-        sigma, random = drag_rate / float(step.beta_h), np.random.default_rng(0).normal(size=3 * nodes)
-        random = jnp.asarray(random)
+        sigma = (drag_rate + float(step.inertia) / float(step.beta_h)) / float(step.beta_h)
+        random = jnp.asarray(np.random.default_rng(0).normal(size=3 * nodes))
         yield scene.pattern, name, sigma, "random", values, random
         if "flat" not in name:
             yield scene.pattern, name, sigma, "Newton", values, -value.reshape(-1)

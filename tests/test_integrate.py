@@ -18,10 +18,11 @@ from jaxcrumple.model.scene import sheet
 from jaxcrumple.scenes import radial
 from jaxcrumple.simulate import SimulationError, frame_times, simulate
 from jaxcrumple.solvers.choice import direct_available
-from jaxcrumple.solvers.integrate import integrate
+from jaxcrumple.solvers.explicit import stability_limit
+from jaxcrumple.solvers.integrate import LIMIT_EVERY, integrate
 from jaxcrumple.solvers.scheme import SCHEMES, integrator
 from jaxcrumple.solvers.switch import Switch
-from jaxcrumple.system import IMPLICIT, QUASISTATIC, STAGES, initial_state
+from jaxcrumple.system import EXPLICIT, IMPLICIT, QUASISTATIC, STAGES, initial_state
 
 NODES = 60
 # The start is over at 3 ms; the wall makes the sheet snap at 9 ms, and it is calm again at 19 ms.
@@ -258,6 +259,19 @@ def test_budgets_end_a_run_that_can_go_on():
     resumed = simulate(scene, halted.state, SNAP_END, solver=solver())
     assert resumed.result == "success"
     assert equal(resumed.state, simulate(scene, start(), SNAP_END, solver=solver()).state)
+
+
+@pytest.mark.parametrize(("scheme", "rtol", "end"), [("hybrid", 1e-6, 0.01), ("explicit", 1e-4, 2e-3)])
+def test_a_run_cut_amid_explicit_steps_goes_on_bit_for_bit(scheme, rtol, end):
+    scene, options = setup().scene, solver(rtol, scheme)
+    straight = simulate(scene, start(), end, solver=options)
+    assert straight.result == "success"
+    assert float(straight.state.limit) == pytest.approx(float(stability_limit(scene, setup().x)), rel=0.1)
+    for attempts in (37, 111):
+        halted = simulate(scene, start(), end, solver=options, max_attempts=attempts)
+        assert int(halted.state.stage) == EXPLICIT
+        assert int(halted.state.monitor.steps) % LIMIT_EVERY > 0
+        assert equal(simulate(scene, halted.state, end, solver=options).state, straight.state)
 
 
 def test_throw_raises_with_the_solution():

@@ -227,9 +227,16 @@ def test_stages_may_be_words(folder):
     assert folder.history.path.read_bytes() == first
 
 
-def test_no_rows_leave_no_file(folder):
-    folder.append_history(COLUMNS, np.zeros((0, len(COLUMNS))))
-    assert not folder.history.path.exists()
+def test_a_table_without_rows_has_its_header(folder):
+    """So that a run without events can be read like any other."""
+    folder.append_events([])
+    assert not folder.events.path.exists()
+    for _ in range(2):
+        folder.append_events([], ["t", "to"])
+        again = RunDirectory.open(folder.path)
+        assert (again.events.count, list(again.events.read().columns)) == (0, ["t", "to"])
+    folder.append_events([{"t": 1.5, "to": "explicit"}], ["t", "to"])
+    assert folder.events.path.read_text() == "t,to\n1.5,explicit\n"
 
 
 def test_appending_drops_a_line_that_was_cut(folder):

@@ -156,15 +156,16 @@ class RunDirectory:
             columns, [[_entry(c, v) for c, v in zip(columns, row, strict=True)] for row in values]
         )
 
-    def append_events(self, events: Sequence[Mapping[str, Any]]) -> None:
+    def append_events(self, events: Sequence[Mapping[str, Any]], columns: Sequence[str] = ()) -> None:
         """Add events. Keys are columns; new ones are added at the right, missing ones stay empty.
 
-        By convention `t` is the time in s, and a change of stage has the stages `from` and `to` in words.
+        `columns` that are known beforehand make a header, even where there is no event. By convention
+        `t` is the time in s, and a change of stage has the stages `from` and `to` in words.
         """
-        if not events:
-            return
         known = self.events.columns
-        columns = list(dict.fromkeys([*known, *(key for event in events for key in event)]))
+        columns = list(dict.fromkeys([*known, *columns, *(key for event in events for key in event)]))
+        if not columns:
+            return
         if known and columns != known:
             self.events.extend_columns(columns)
         self.events.append(columns, [[event.get(c) for c in columns] for event in events])

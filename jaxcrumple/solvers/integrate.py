@@ -46,6 +46,8 @@ LOST = 0.02
 BREAK_EVEN = 10
 # Explicit steps, in stability limits, before the implicit stage is tried again.
 SPELL = 200
+# Steps of a stage from one measurement of the stability limit to the next: it follows the folding.
+LIMIT_EVERY = 32
 # Relative to the time, a step below this is lost to rounding.
 SMALLEST_STEP = 1e-13
 
@@ -133,24 +135,33 @@ def _select(keep: Array, new, old):
 
 def _implicit_stages(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
     """Run the quasistatic stage and the implicit one with inertia, until an explicit one is due."""
-    limit = explicit.stability_limit(scene, carry.state.x)
 
     def unfinished(carry: _Carry) -> Array:
         return _going(carry) & (carry.state.stage != EXPLICIT)
 
     def body(carry: _Carry) -> _Carry:
-        return _implicit_step(scene, carry, t_stop, solver, limit)
+        return _implicit_step(scene, carry, t_stop, solver)
 
     return jax.lax.while_loop(unfinished, body, carry)
 
 
-def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator, limit) -> _Carry:
-    state = carry.state
+def _with_limit(scene: Scene, state: State) -> State:
+    """The state with the stability limit measured, where that is due.
+
+    It is part of the state, so that a run cut anywhere goes on with the same numbers.
+    """
+    due = state.monitor.steps % LIMIT_EVERY == 0
+    limit = jax.lax.cond(due, lambda: explicit.stability_limit(scene, state.x), lambda: state.limit)
+    return eqx.tree_at(lambda s: s.limit, state, limit)
+
+
+def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
+    state = _with_limit(scene, carry.state)
     assert solver.implicit is not None and carry.factor is not None
     wanted = jnp.minimum(state.h, solver.max_step)
     # The step that aligns the velocity with the forces is as short as an explicit one.
     aligning = aligns(state)
-    wanted = jnp.where(aligning, jnp.minimum(wanted, limit), wanted)
+    wanted = jnp.where(aligning, jnp.minimum(wanted, state.limit), wanted)
     h, lands = _clip_step(state.t, wanted, t_stop)
     tried = solver.implicit.attempt(scene, state, h, carry.factor)
     moved = _moved(scene, state, tried, h, jnp.where(lands, t_stop, state.t + h), solver)
@@ -166,7 +177,7 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
         lambda s: (s.h, s.history.order, s.counters), moved, (suggested, tried.next_order, counters)
     )
     log = append(carry.log, _row(scene, moved, STEP, h, tried.order, tried.error), tried.accepted)
-    moved, log = _change_stage(scene, moved, log, tried, solver, limit)
+    moved, log = _change_stage(scene, moved, log, tried, solver)
     return _tried(carry, moved, log, tried.factor, IMPLICIT_COST, tried.accepted & lands)
 
 
@@ -186,10 +197,11 @@ def _moved(scene: Scene, state: State, tried: Attempt, h: Array, t: Array, solve
     return _select(tried.accepted, moved, state)
 
 
-def _change_stage(scene: Scene, state: State, log: Log, tried: Attempt, solver: Integrator, limit):
+def _change_stage(scene: Scene, state: State, log: Log, tried: Attempt, solver: Integrator):
     """Hand over after an implicit step where its stage cannot or need not go on."""
     quasistatic, inertial = state.stage == QUASISTATIC, state.stage == IMPLICIT
-    rejected, short = ~tried.accepted, state.h < COLLAPSE * limit
+    limit, rejected = state.limit, ~tried.accepted
+    short = state.h < COLLAPSE * limit
     asked = quasistatic & tried.accepted & wants_inertia(scene, state.monitor, solver.switch)
     h_explicit = solver.explicit.safety * limit if solver.explicit is not None else limit
     if solver.has(IMPLICIT):
@@ -255,7 +267,6 @@ def _with_result(state: State, failed: Array, result: Any) -> State:
 def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
     """Run the explicit stage for as long as it lasts."""
     assert solver.explicit is not None
-    cap = solver.explicit.safety * explicit.stability_limit(scene, carry.state.x)
     stages = explicit.first_stages(scene, carry.state)
 
     def unfinished(loop) -> Array:
@@ -264,15 +275,16 @@ def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrat
 
     def body(loop):
         carry, stages, fresh = loop
-        carry, stages, accepted = _explicit_step(scene, carry, t_stop, solver, cap, stages, fresh)
+        carry, stages, accepted = _explicit_step(scene, carry, t_stop, solver, stages, fresh)
         return carry, stages, fresh & ~accepted
 
     return jax.lax.while_loop(unfinished, body, (carry, stages, jnp.asarray(True)))[0]
 
 
-def _explicit_step(scene: Scene, carry: _Carry, t_stop, solver: Integrator, cap, stages, fresh):
-    state = carry.state
+def _explicit_step(scene: Scene, carry: _Carry, t_stop, solver: Integrator, stages, fresh):
     assert solver.explicit is not None
+    state = _with_limit(scene, carry.state)
+    cap = solver.explicit.safety * state.limit
     started = state.h_explicit > 0
     wanted = jnp.minimum(jnp.where(started, jnp.minimum(state.h_explicit, cap), cap), solver.max_step)
     h, lands = _clip_step(state.t, wanted, t_stop)

@@ -53,12 +53,17 @@ class VariableOrder(AbstractImplicit):
     max_order: int = eqx.field(static=True, default=5)
     max_iterations: int = eqx.field(static=True, default=8)
 
+    def equations(self, scene: Scene, state: State, h: Array) -> tuple[ImplicitStep, Array]:
+        """What a step of size `h` s from a state solves, and the positions (n, 3) its Newton starts from."""
+        formula = self._formula(scene, state, h)
+        return formula.step, _start(formula, state, _predicted(scene, state, h, formula.orders.used))
+
     def attempt(self, scene: Scene, state: State, h: Array, factor: Factor) -> Attempt:
         """Try a step of size `h` s in the state's stage."""
         formula = self._formula(scene, state, h)
         predicted = _predicted(scene, state, h, formula.orders.used)
         theta, step = formula.theta, formula.step
-        guess = theta * predicted + (1.0 - theta) * state.x
+        guess = _start(formula, state, predicted)
         tolerance = self.newton_share * LOCAL_SHARE * self.rtol * scene.length_scale
         solution = newton(scene, step, guess, self.linear, factor, tolerance, self.max_iterations)
         mean_v = step.velocity(solution.x)
@@ -192,6 +197,11 @@ def _predicted(scene: Scene, state: State, h: Array, order: Array) -> Array:
     euler = state.x + jnp.where(aligns(state), 0.0, h) * state.v
     predicted = jnp.where(history.count <= 1, euler, predicted)
     return predicted if scene.prescribed is None else scene.prescribed.position(predicted, state.t + h)
+
+
+def _start(formula: _Formula, state: State, predicted: Array) -> Array:
+    """The point at which the equations hold, as predicted."""
+    return formula.theta * predicted + (1.0 - formula.theta) * state.x
 
 
 def _whole(theta: Array, mean: Array, old: Array) -> Array:
