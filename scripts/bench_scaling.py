@@ -1,13 +1,14 @@
 """How the cost of a step grows with the mesh, what it is made of, and what threads, options and starts cost.
 
-For each n, from recorded states of `radial`: wall and CPU seconds per accepted quasistatic step with one
-and with two threads (the process is confined to that many cores), its components, peak memory, the extra
-cost of plasticity and of the wall, and the time from a cold start to the first accepted step, with an empty
-and with a warm compilation cache.
+For each n, from recorded states of `radial`: wall and CPU seconds per accepted implicit step, with inertia
+and without, with one and with two threads (the process is confined to that many cores), its components, peak
+memory, the extra cost of plasticity and of the wall, and the time from a cold start to the first accepted
+step, with an empty and with a warm compilation cache.
 
     python scripts/bench_scaling.py [--nodes N ...] [--json FILE]
 """
 
+import itertools
 import json
 import subprocess
 import sys
@@ -26,21 +27,26 @@ from jaxcrumple.system import State, energies, linearize, residual
 from jaxcrumple.threads import single_threaded_blas
 
 STEPS = 50
+# Implicit steps by scheme, each at the tolerance at which it is used.
+RTOLS = {"dynamic": 1e-2, "quasistatic": 1e-4}
+# The steps whose growth with n is fitted and drawn.
+PLOTTED = "crumpled, dynamic"
 
 
 def steps_from(nodes: int, folder) -> dict[str, dict[str, float]]:
-    """Seconds per accepted step over 50 accepted ones from the buckled and the crumpled state."""
+    """Seconds per accepted step over 50 attempts from the buckled and the crumpled state, by scheme."""
     found = {}
-    for name in ("buckled", "crumpled"):
+    for name, (scheme, rtol) in itertools.product(("buckled", "crumpled"), RTOLS.items()):
         scene, state = recorded(nodes, STATES[name], folder)
-        solver = integrator()
+        solver = integrator(rtol, scheme=scheme)
         simulate(scene, state, float(state.t) + 1.0, solver=solver, max_attempts=1)
         start, cpu = time.perf_counter(), time.process_time()
         end = simulate(scene, state, float(state.t) + 1.0, solver=solver, max_attempts=STEPS).state
         wall, cpu = time.perf_counter() - start, time.process_time() - cpu
         steps = int(np.sum(end.counters.steps - state.counters.steps))
         newton = int(end.counters.newton - state.counters.newton)
-        found[name] = {"wall_s": wall / steps, "cpu_s": cpu / steps, "newton": newton / steps}
+        cost = {"wall_s": wall / steps, "cpu_s": cpu / steps, "newton": newton / steps}
+        found[f"{name}, {scheme}"] = cost
     return found
 
 
@@ -172,18 +178,19 @@ def table(results: list[dict]) -> str:
     for result in results:
         for cores, run in result["threads"].items():
             cells = [
-                f"{run['steps'][s][k]:.3f}" for s in ("buckled", "crumpled") for k in ("wall_s", "cpu_s")
+                f"{one['wall_s']:.3f} / {one['cpu_s']:.3f} ({one['newton']:.1f})"
+                for one in run["steps"].values()
             ]
-            newton = f"{run['steps']['crumpled']['newton']:.2f}"
-            steps.append([result["nodes"], cores, *cells, newton, f"{run['peak_mb']:.0f}"])
+            steps.append([result["nodes"], cores, *cells, f"{run['peak_mb']:.0f}"])
         times = [f"{1e3 * seconds:.1f}" for seconds in result["components"].values()]
         shares = [f"{100 * share:.1f} %" for share in result["options"].values()]
         parts.append([result["nodes"], *times, *shares, f"{result['cold_s']:.1f}", f"{result['warm_s']:.1f}"])
-    first = ["n", "cores", "buckled wall s", "CPU s", "crumpled wall s", "CPU s", "Newton", "peak MB"]
+    first = ["n", "cores", *results[0]["threads"][1]["steps"], "peak MB"]
     second = ["n", *(f"{name} ms" for name in results[0]["components"])]
     second += ["plasticity costs", "wall costs", "cold start s", "warm start s"]
     return (
-        f"Per accepted step, {STEPS} attempts from each state:\n\n{markdown(first, steps)}\n\n"
+        f"Wall / CPU s (Newton iterations) per accepted step, {STEPS} attempts from each state, rtol {RTOLS}:"
+        f"\n\n{markdown(first, steps)}\n\n"
         f"Parts of a step, costs of options, first accepted step:\n\n{markdown(second, parts)}"
     )
 
@@ -193,14 +200,15 @@ def ratios(results: list[dict]) -> dict[str, float]:
     figures = {}
     for result in results:
         n, one, two = result["nodes"], *(result["threads"][cores]["steps"] for cores in (1, 2))
-        figures[f"thread_efficiency_{n}"] = one["crumpled"]["wall_s"] / (2.0 * two["crumpled"]["wall_s"])
-        figures[f"step_s_{n}"] = max(two[name]["wall_s"] for name in two)
+        figures[f"thread_efficiency_{n}"] = one[PLOTTED]["wall_s"] / (2.0 * two[PLOTTED]["wall_s"])
+        for scheme in RTOLS:
+            figures[f"{scheme}_step_s_{n}"] = max(two[name]["wall_s"] for name in two if scheme in name)
         figures[f"plasticity_cost_{n}"] = result["options"]["plasticity"]
         figures[f"wall_cost_{n}"] = result["options"]["wall"]
         figures[f"cold_start_s_{n}"], figures[f"warm_start_s_{n}"] = result["cold_s"], result["warm_s"]
         figures[f"peak_mb_{n}"] = result["threads"][2]["peak_mb"]
     if len(results) > 1:
-        points = np.log([(r["nodes"], r["threads"][2]["steps"]["crumpled"]["wall_s"]) for r in results])
+        points = np.log([(r["nodes"], r["threads"][2]["steps"][PLOTTED]["wall_s"]) for r in results])
         figures["step_growth_exponent"] = float(np.polyfit(*points.T, 1)[0])
     return figures
 
@@ -213,7 +221,7 @@ def draw(results: list[dict]) -> Figure:
     for name in results[0]["components"]:
         axes.plot(nodes, [result["components"][name] for result in results], "o-", label=name)
     for cores in (1, 2):
-        walls = [result["threads"][cores]["steps"]["crumpled"]["wall_s"] for result in results]
+        walls = [result["threads"][cores]["steps"][PLOTTED]["wall_s"] for result in results]
         axes.plot(nodes, walls, "s--", label=f"step, {cores} cores")
     axes.legend(frameon=False)
     axes.grid(alpha=0.3)

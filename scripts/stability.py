@@ -222,7 +222,7 @@ def study(configs: list[RunConfig], seconds: float, workers: int, log: Path) -> 
 
 def table(found: list[dict], seconds: float) -> str:
     """Counts of results and failures, and a line for each run that neither succeeded nor ran out of time."""
-    rows = []
+    rtol, rows = configure("radial").solver.rtol, []
     for result in sorted({row["result"] for row in found}):
         mine = [row for row in found if row["result"] == result]
         errors = np.array([np.max(row["errors"]) for row in mine if result == "success"])
@@ -232,12 +232,12 @@ def table(found: list[dict], seconds: float) -> str:
                 len(mine),
                 f"{np.median([row.get('run_s', np.nan) for row in mine]):.1f}",
                 f"{np.mean([row.get('reached', 0.0) for row in mine]):.2f}",
-                " / ".join(str(np.sum(errors < bound)) for bound in (1e-5, 1e-4, 1e-3, np.inf)),
+                " / ".join(str(np.sum(errors < share * rtol)) for share in (0.1, 1.0, 10.0, np.inf)),
                 *(sum(failure in row["failures"] for row in mine) for failure in FAILURES),
             ]
         )
     header = ["result", "runs", "median s", "mean share of the way", "error < 0.1 / 1 / 10 / any rtol"]
-    text = f"{len(found)} runs, rtol 1e-4, {seconds:g} s each.\n\n{markdown([*header, *FAILURES], rows)}"
+    text = f"{len(found)} runs, rtol {rtol:g}, {seconds:g} s each.\n\n{markdown([*header, *FAILURES], rows)}"
     odd = [row for row in found if row["failures"] or row["result"] not in ("success", "budget")]
     lines = [
         f"- run {row['number']}: {row['result']}, {', '.join(row['failures']) or 'no failure'}"

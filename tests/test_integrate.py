@@ -16,7 +16,7 @@ from jaxcrumple.io import load_checkpoint, save_checkpoint
 from jaxcrumple.material import Material
 from jaxcrumple.model.scene import sheet
 from jaxcrumple.scenes import radial
-from jaxcrumple.simulate import SimulationError, frame_times, simulate
+from jaxcrumple.simulate import ENERGIES, SimulationError, frame_times, simulate
 from jaxcrumple.solvers.choice import direct_available
 from jaxcrumple.solvers.explicit import stability_limit
 from jaxcrumple.solvers.integrate import LIMIT_EVERY, integrate
@@ -202,6 +202,25 @@ def test_what_the_switch_leaves_out_vanishes_with_the_tolerance():
     assert errors[0] < 2e-2
     assert errors[1] < errors[0] / 1.5
     assert errors[2] < errors[1] / 2
+
+
+def test_the_default_keeps_its_tolerance_across_explicit_spells():
+    """Held against explicit steps alone, whose step the stability limit sets far below the tolerance."""
+    times = frame_times(0.012, 6)[1:]
+    scene, size = setup().scene, float(setup().scene.length_scale)
+    reference = simulate(scene, start(), times, solver=solver(1e-5, "explicit")).x
+    for rtol in (1e-4, 1e-5):
+        solution = simulate(scene, start(), times, solver=solver(rtol, "hybrid"))
+        assert np.max(np.abs(solution.x - reference)) < rtol * size
+        events = solution.events
+        assert set(events["origin"]) == {"implicit", "explicit"}
+        assert len(events) == int(solution.state.counters.switches) > 2
+        for name in ENERGIES:
+            np.testing.assert_array_equal(events[f"{name}_before"], events[f"{name}_after"])
+        steps = solution.state.counters.steps
+        assert (int(steps[QUASISTATIC]), int(steps[IMPLICIT]) > 5) == (0, True)
+        # Explicit steps alone would be 1650.
+        assert 100 < int(steps[EXPLICIT]) < 1000
 
 
 def test_frames_and_history_tell_the_run():
