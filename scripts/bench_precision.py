@@ -125,10 +125,10 @@ def compare(make: Callable[[], Stretch], name: str, nodes: int, compared, rtols,
 def _done(rows: Iterable[dict]) -> bool:
     """Whether a scheme's runs so far leave nothing to learn from a smaller tolerance.
 
-    It ran out of time, or two tolerances gave the same steps: stability limits them, not the error.
+    It ran out of time, or two tolerances gave the same run: stability limits its steps, not the error.
     """
     mine = list(rows)
-    stuck = len(mine) > 1 and mine[-1]["steps"] == mine[-2]["steps"]
+    stuck = len(mine) > 1 and all(mine[-1][key] == mine[-2][key] for key in ("steps", "error"))
     return stuck or any(row["result"] == "budget" for row in mine)
 
 
