@@ -26,7 +26,7 @@ from jaxcrumple.system import (
     State,
     check_state,
 )
-from jaxcrumple.threads import single_threaded_blas
+from jaxcrumple.threads import limited_blas
 
 _integrate = eqx.filter_jit(integrate)
 
@@ -133,7 +133,7 @@ def simulate(
         raise ValueError(f"solver = {solver!r} must be what jaxcrumple.integrator(rtol, scheme=...) makes.")
     record = _Record()
     watchers = (record, *observers)
-    with single_threaded_blas():
+    with limited_blas():
         compile_s = _compile(scene, state, solver)
         start = time.perf_counter()
         budget = _Budget(state, max_attempts, max_seconds)

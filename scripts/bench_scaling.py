@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from jaxcrumple import integrator, simulate
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.system import State, energies, linearize, residual
-from jaxcrumple.threads import single_threaded_blas
+from jaxcrumple.threads import limited_blas
 
 STEPS = 50
 # Implicit steps by scheme, each at the tolerance at which it is used.
@@ -162,7 +162,7 @@ def measure(nodes: int, folder) -> dict:
     for t in STATES.values():
         recorded(nodes, t, folder)
     result = {"nodes": nodes, "threads": {cores: confined(nodes, folder, cores) for cores in (1, 2)}}
-    with single_threaded_blas():
+    with limited_blas():
         result["components"] = components(nodes, folder)
         result["options"] = option_costs(nodes, folder)
     with tempfile.TemporaryDirectory() as cache:
