@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from jaxcrumple import initial_state, integrator, radial, simulate
 
-RTOLS = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6)
+LADDER = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6)
 # Each scheme's reference: scheme and tolerance.
 REFERENCES = {
     "quasistatic": ("quasistatic", 1e-8),
@@ -41,7 +41,7 @@ def measure(nodes: int, seed: int) -> list[dict]:
     references = {key: run(setup, *key, times)[0].x for key in dict.fromkeys(REFERENCES.values())}
     rows = []
     for scheme, reference in REFERENCES.items():
-        for rtol in RTOLS:
+        for rtol in LADDER:
             solution, cpu = run(setup, scheme, rtol, times)
             error = np.abs(solution.x - references[reference]).max(axis=(1, 2)) / np.sqrt(setup.mesh.area)
             counters = solution.state.counters
@@ -93,7 +93,7 @@ def draw(rows: list[dict]) -> Figure:
     for scheme, nodes in dict.fromkeys((row["scheme"], row["nodes"]) for row in rows):
         points = [(r["rtol"], r["error"]) for r in rows if (r["scheme"], r["nodes"]) == (scheme, nodes)]
         axes.loglog(*zip(*points, strict=True), "o-", label=f"{scheme}, n = {nodes}")
-    axes.loglog(RTOLS, RTOLS, "k:", label="error = rtol")
+    axes.loglog(LADDER, LADDER, "k:", label="error = rtol")
     axes.set(xlabel="rtol", ylabel="largest position error / sqrt(A)")
     axes.legend(frameon=False)
     return figure

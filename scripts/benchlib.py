@@ -30,6 +30,15 @@ from jaxcrumple.system import ImplicitStep, State  # noqa: E402
 RESULTS = Path(__file__).parent / "results"
 # Moments of `radial`: before the first buckling, once buckled, and crumpled (R = 7.05, 6.3 and 4.5 cm).
 STATES = {"near flat": 0.05, "buckled": 0.8, "crumpled": 2.6}
+# Each scheme at the tolerance at which it is used: errors are of the same size.
+RTOLS = {
+    "hybrid": 1e-2,
+    "dynamic": 1e-2,
+    "alternating": 1e-4,
+    "quasistatic": 1e-4,
+    "explicit": 1e-4,
+    "paper": 1e-4,
+}
 
 
 def options(description: str, nodes: Sequence[int], *, resumable: bool = False) -> argparse.ArgumentParser:
