@@ -8,14 +8,13 @@ compared: what quasistatic steps leave out counts as error.
 """
 
 import functools
-import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import NamedTuple
 
 import jax
 import numpy as np
-from benchlib import RTOLS, STATES, Log, markdown, options, recorded, save
+from benchlib import RTOLS, STATES, Log, markdown, options, recorded, save, timed_run
 from matplotlib.figure import Figure
 
 from jaxcrumple import cap, frame_times, initial_state, integrator, radial, simulate
@@ -91,13 +90,9 @@ def run(stretch: Stretch, scheme: str, linear: str | None, rtol: float, patience
     """Positions at the stretch's times, CPU seconds, steps and result of one run; compiling apart."""
     solver = integrator(rtol, scheme=scheme, linear=linear)
     scene, state, times = stretch
-    simulate(scene, state, times, solver=solver, max_attempts=1)
-    start = time.process_time()
-    solution = simulate(scene, state, times, solver=solver, max_seconds=patience)
-    spent = time.process_time() - start
-    counters, before = solution.state.counters, state.counters
-    steps = np.asarray(counters.steps) - np.asarray(before.steps)
-    return solution, spent, steps
+    timed = timed_run(scene, state, times, solver, max_seconds=patience)
+    steps = np.asarray(timed.solution.state.counters.steps) - np.asarray(state.counters.steps)
+    return timed.solution, timed.cpu_s, steps
 
 
 def compare(make: Callable[[], Stretch], name: str, nodes: int, compared, rtols, log: Log) -> list[dict]:

@@ -8,13 +8,12 @@ Newton iterations of a rejected attempt count with the next accepted step.
 import functools
 import itertools
 import resource
-import time
 
 import numpy as np
-from benchlib import RTOLS, Log, markdown, options, save
+from benchlib import RTOLS, Log, markdown, options, save, timed_run
 from matplotlib.figure import Figure
 
-from jaxcrumple import frame_times, initial_state, integrator, radial, simulate
+from jaxcrumple import frame_times, initial_state, integrator, radial
 from jaxcrumple.system import CAUSES
 
 T_END, FRAMES = 3.7, 37
@@ -24,12 +23,9 @@ SCHEMES = ("hybrid", "alternating")
 def measure(nodes: int, scheme: str) -> dict:
     """One run; compiling apart."""
     setup, solver = radial(nodes), integrator(RTOLS[scheme], scheme=scheme)
-    cpu = time.process_time()
     state = initial_state(setup.scene, setup.x)
-    compiled = simulate(setup.scene, state, T_END, solver=solver, max_attempts=0)
-    compile_cpu = time.process_time() - cpu
-    run = simulate(setup.scene, state, frame_times(T_END, FRAMES)[1:], solver=solver, throw=True)
-    cpu = time.process_time() - cpu - compile_cpu
+    timed = timed_run(setup.scene, state, frame_times(T_END, FRAMES)[1:], solver, throw=True)
+    run = timed.solution
     history, counters = run.history[run.history["kind"] == 0], run.state.counters
     stages = {}
     newton = np.diff(history["newton_iterations"], prepend=0)
@@ -43,7 +39,7 @@ def measure(nodes: int, scheme: str) -> dict:
         }
     last = history.iloc[-1]
     row = {
-        "cpu_s": cpu, "wall_s": run.run_s, "compile_s": compiled.compile_s, "stages": stages,
+        "cpu_s": timed.cpu_s, "wall_s": timed.wall_s, "compile_s": timed.compile_s, "stages": stages,
         "explicit_steps": int(counters.steps[2]),
         "rejected": dict(zip(CAUSES, np.asarray(counters.rejected).tolist(), strict=True)),
         "newton": int(counters.newton), "factors": int(counters.factors), "linear": int(counters.linear),
@@ -97,7 +93,7 @@ def table(rows: list[dict]) -> str:
     }
     header = ["", *(f"`{row['scheme']}`, n = {row['nodes']}" for row in rows)]
     cells = [[name, *(value(row) for row in rows)] for name, value in lines.items()]
-    rtols = ", ".join(f"{scheme} {RTOLS[scheme]:g}" for scheme in SCHEMES)
+    rtols = ", ".join(dict.fromkeys(f"{row['scheme']} {row['rtol']:g}" for row in rows))
     return f"rtol: {rtols}; R = 7.1 to 3.4 cm ({T_END} s), {FRAMES} frames.\n\n{markdown(header, cells)}"
 
 

@@ -18,10 +18,21 @@ import time
 import equinox as eqx
 import jax
 import numpy as np
-from benchlib import RTOLS, STATES, confine, markdown, next_equations, options, paired, recorded, save
+from benchlib import (
+    RTOLS,
+    STATES,
+    confine,
+    markdown,
+    next_equations,
+    options,
+    paired,
+    recorded,
+    save,
+    timed_run,
+)
 from matplotlib.figure import Figure
 
-from jaxcrumple import integrator, simulate
+from jaxcrumple import integrator
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.system import State, energies, linearize, residual
 from jaxcrumple.threads import limited_blas
@@ -39,13 +50,11 @@ def steps_from(nodes: int, folder) -> dict[str, dict[str, float]]:
     for name, scheme in itertools.product(("buckled", "crumpled"), SCHEMES):
         scene, state = recorded(nodes, STATES[name], folder)
         solver = integrator(RTOLS[scheme], scheme=scheme)
-        simulate(scene, state, float(state.t) + 1.0, solver=solver, max_attempts=1)
-        start, cpu = time.perf_counter(), time.process_time()
-        end = simulate(scene, state, float(state.t) + 1.0, solver=solver, max_attempts=STEPS).state
-        wall, cpu = time.perf_counter() - start, time.process_time() - cpu
+        timed = timed_run(scene, state, float(state.t) + 1.0, solver, max_attempts=STEPS)
+        end = timed.solution.state
         steps = int(np.sum(end.counters.steps - state.counters.steps))
         newton = int(end.counters.newton - state.counters.newton)
-        cost = {"wall_s": wall / steps, "cpu_s": cpu / steps, "newton": newton / steps}
+        cost = {"wall_s": timed.wall_s / steps, "cpu_s": timed.cpu_s / steps, "newton": newton / steps}
         found[f"{name}, {scheme}"] = cost
     return found
 

@@ -6,13 +6,11 @@ the error of solving their equations, with `alternating` also the inertia that q
     python scripts/bench_tolerance.py [--nodes N ...] [--seed S] [--json FILE]
 """
 
-import time
-
 import numpy as np
-from benchlib import markdown, options, save
+from benchlib import markdown, options, save, timed_run
 from matplotlib.figure import Figure
 
-from jaxcrumple import initial_state, integrator, radial, simulate
+from jaxcrumple import initial_state, integrator, radial
 
 LADDER = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6)
 # Each scheme's reference: scheme and tolerance.
@@ -28,10 +26,8 @@ END, FRAMES = 0.6, 40
 def run(setup, scheme: str, rtol: float, times: np.ndarray):
     """Positions at `times`, and what they cost; compiling apart."""
     state, solver = initial_state(setup.scene, setup.x), integrator(rtol, scheme=scheme)
-    simulate(setup.scene, state, times, solver=solver, max_attempts=0)
-    start = time.process_time()
-    solution = simulate(setup.scene, state, times, solver=solver, throw=True)
-    return solution, time.process_time() - start
+    timed = timed_run(setup.scene, state, times, solver, throw=True)
+    return timed.solution, timed.cpu_s
 
 
 def measure(nodes: int, seed: int) -> list[dict]:

@@ -22,7 +22,7 @@ from scipy.interpolate import CloughTocher2DInterpolator
 
 jax.config.update("jax_enable_x64", True)
 
-from jaxcrumple import initial_state, integrator, radial, simulate  # noqa: E402
+from jaxcrumple import Integrator, Solution, initial_state, integrator, radial, simulate  # noqa: E402
 from jaxcrumple.model.geometry import curvature  # noqa: E402
 from jaxcrumple.model.scene import Scene  # noqa: E402
 from jaxcrumple.system import ImplicitStep, State  # noqa: E402
@@ -179,6 +179,23 @@ def refined(nodes: int, t: float, folder: Path) -> State:
 def next_equations(scene: Scene, state: State) -> tuple[ImplicitStep, Array]:
     """The implicit step that the recorded run takes next, and its predicted positions (n, 3)."""
     return eqx.filter_jit(integrator().implicit.equations)(scene, state, state.h)
+
+
+class Timed(NamedTuple):
+    """A run, what it took in CPU and wall seconds, and the wall seconds that compiling took before it."""
+
+    solution: Solution
+    cpu_s: float
+    wall_s: float
+    compile_s: float
+
+
+def timed_run(scene: Scene, state: State, times, solver: Integrator, **options) -> Timed:
+    """`simulate` with `options`, compiling apart."""
+    compiled = simulate(scene, state, times, solver=solver, max_attempts=0)
+    wall, cpu = time.perf_counter(), time.process_time()
+    solution = simulate(scene, state, times, solver=solver, **options)
+    return Timed(solution, time.process_time() - cpu, time.perf_counter() - wall, compiled.compile_s)
 
 
 # A call of so many seconds is timed once.

@@ -104,10 +104,11 @@ def judged(config: RunConfig, seconds: float) -> dict:
         failures.append("behind the wall")
     error = shifted = np.full(1, np.nan)
     if solution.result == "success":
-        tight = _run(setup, config, 0.1 * rtol, solution.t[:COMPARED], seconds)
+        times = solution.t[:COMPARED]
+        tight = _run(setup, config, 0.1 * rtol, times, seconds)
         error = _distance(solution.x, tight.x)
         if np.any(error > BROKEN * rtol):
-            shifted = _distance(_shifted(setup, config, solution.t[:COMPARED], seconds), tight.x)
+            shifted = _distance(_shifted(setup, config, times, seconds), tight.x)
             known = min(len(error), len(shifted))
             if np.any(error[:known] > BROKEN * np.maximum(rtol, shifted[:known])):
                 failures.append("broken tolerance")
@@ -223,7 +224,7 @@ def study(configs: list[RunConfig], seconds: float, workers: int, log: Path) -> 
 
 def table(found: list[dict], seconds: float) -> str:
     """Counts of results and failures, and a line for each run that neither succeeded nor ran out of time."""
-    rtol, rows = configure("radial").solver.rtol, []
+    rtol, rows = found[0]["asked"]["config"]["solver"]["rtol"], []
     for result in sorted({row["result"] for row in found}):
         mine = [row for row in found if row["result"] == result]
         errors = np.array([np.max(row["errors"] or np.nan) for row in mine if result == "success"])

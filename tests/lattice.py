@@ -57,7 +57,7 @@ def strip_scene():
 
 
 def solver(rtol, scheme="quasistatic", **options):
-    """The integrator with one stage; the hybrid one keeps to the stage it starts in."""
+    """The integrator with one stage; `paper` keeps to the stage it starts in."""
     return integrator(rtol, scheme=scheme, switch=FOREVER, **options)
 
 

@@ -227,7 +227,12 @@ def test_stages_may_be_words(folder):
     assert folder.history.path.read_bytes() == first
 
 
-def test_a_table_without_rows_has_its_header(folder):
+def test_no_rows_leave_no_file(folder):
+    folder.append_history(COLUMNS, np.zeros((0, len(COLUMNS))))
+    assert not folder.history.path.exists()
+
+
+def test_events_whose_columns_are_known_have_a_header(folder):
     """So that a run without events can be read like any other."""
     folder.append_events([])
     assert not folder.events.path.exists()

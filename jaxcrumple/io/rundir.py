@@ -164,9 +164,7 @@ class RunDirectory:
         """
         known = self.events.columns
         columns = list(dict.fromkeys([*known, *columns, *(key for event in events for key in event)]))
-        if not columns:
-            return
-        if known and columns != known:
+        if columns != known:
             self.events.extend_columns(columns)
         self.events.append(columns, [[event.get(c) for c in columns] for event in events])
 

@@ -35,7 +35,7 @@ class Table:
         return next(csv.reader([line])) if line.endswith("\n") else []
 
     def append(self, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-        """Add `rows`, and the header before the first; numbers keep all their digits.
+        """Add `rows`; numbers keep all their digits.
 
         **Raises:** ValueError for other columns than before; `RunDirectoryError` if the file cannot be
         written, and then none of the rows is.
@@ -45,7 +45,7 @@ class Table:
             raise ValueError(f"{self.path.name} has the columns {known}, not {list(columns)}; keep them")
         lines = _csv(rows)
         count = lines.count(b"\n")
-        if known and count == 0:
+        if count == 0:
             return
         self._write(lines if known else _csv([columns]) + lines)
         self.count += count

@@ -254,7 +254,7 @@ def _switched(state: State, stage: int, h: Array) -> State:
     )
     if stage == EXPLICIT:
         return eqx.tree_at(lambda s: s.h_explicit, state, h)
-    # Steps with inertia are of order 2: their points bear no more to begin with.
+    # Points made with inertia and without bear order 2 together, no more to begin with.
     kept = eqx.tree_at(lambda y: y.order, state.history, jnp.minimum(state.history.order, 2))
     history = _select(old == EXPLICIT, restart_history(state.x, state.v, state.p), kept)
     return eqx.tree_at(lambda s: (s.h, s.history), state, (h, history))

@@ -61,8 +61,8 @@ class VariableOrder(AbstractImplicit):
     def attempt(self, scene: Scene, state: State, h: Array, factor: Factor) -> Attempt:
         """Try a step of size `h` s in the state's stage."""
         formula = self._formula(scene, state, h)
-        predicted = _predicted(scene, state, h, formula.orders.used)
-        theta, step = formula.theta, formula.step
+        theta, step, order = formula.theta, formula.step, formula.orders.used
+        predicted = _predicted(scene, state, h, order)
         guess = _start(formula, state, predicted)
         tolerance = self.newton_share * LOCAL_SHARE * self.rtol * scene.length_scale
         solution = newton(scene, step, guess, self.linear, factor, tolerance, self.max_iterations)
@@ -73,10 +73,10 @@ class VariableOrder(AbstractImplicit):
         change = self._filtered(scene, state, step, x - predicted, solution.factor)
         errors = self._errors(scene, state, h, formula, x, p, change)
         cause = judge(scene, state, solution, x, errors[1])
-        next_h, next_order = self._next(state, h, formula.orders.used, errors, cause)
+        next_h, next_order = self._next(h, order, errors, cause)
         acceleration = jnp.where(state.stage == IMPLICIT, step.acceleration(mean_v), (v - state.v) / h)
         return Attempt(
-            x, v, p, acceleration, errors[1], cause, formula.orders.used, next_h, next_order,
+            x, v, p, acceleration, errors[1], cause, order, next_h, next_order,
             solution.factor, solution.iterations, solution.linear, solution.factors,
         )  # fmt: skip
 
@@ -163,14 +163,13 @@ class VariableOrder(AbstractImplicit):
             errors[place] = jnp.where(known, size / allowed, jnp.inf)
         return jnp.stack(errors)
 
-    def _next(self, state: State, h, order, errors, cause) -> tuple[Array, Array]:
+    def _next(self, h, order, errors, cause) -> tuple[Array, Array]:
         """Step and order to take next: those that promise the longest step."""
         orders = order + jnp.arange(-1, 2)
         reach = jnp.maximum(errors, 1e-10) ** (-1.0 / (orders + 1))
         best = jnp.argmax(reach * jnp.asarray([1.0, ORDER_GAIN, 1.0]))
         best = jnp.where((cause < 0) | (cause == CAUSES.index("error")), best, 1)
-        next_order = orders[best]
-        return resized(h, orders[best], errors[best], cause), next_order
+        return resized(h, orders[best], errors[best], cause), orders[best]
 
 
 class _Orders(NamedTuple):
