@@ -231,7 +231,7 @@ def draw(results: list[dict]) -> Figure:
         axes.plot(nodes, [result["components"][name] for result in results], "o-", label=name)
     for cores in (1, 2):
         walls = [result["threads"][cores]["steps"][PLOTTED]["wall_s"] for result in results]
-        axes.plot(nodes, walls, "s--", label=f"step, {cores} cores")
+        axes.plot(nodes, walls, "s--", label=f"step, cores: {cores}")
     axes.legend(frameon=False)
     axes.grid(alpha=0.3)
     return figure
