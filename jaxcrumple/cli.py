@@ -73,7 +73,7 @@ def run(
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out.")] = False,
 ) -> None:
     """Run a scene and write its trajectory, tables, checkpoint, summary and pictures to a folder."""
-    from jaxcrumple.config import configure
+    from jaxcrumple.config import configure, pairs
     from jaxcrumple.io import RunDirectory
     from jaxcrumple.progress import ConsoleProgress
     from jaxcrumple.run import check_resumable, resume_run, start_run, stored_config
@@ -86,7 +86,7 @@ def run(
     else:
         config = configure(scene, settings=settings or (), **asked)
     if resume:
-        check_resumable(config, folder)
+        check_resumable(config, [*asked, *(key for key, _ in pairs(settings or ()))], folder)
     try:
         with ConsoleProgress(config.t_end, console) as progress:
             summary = resume_run(folder, [progress]) if resume else start_run(config, folder, [progress])

@@ -128,7 +128,7 @@ def configure(
         "seed": seed,
         "t_end": entry.t_end if t_end is None else t_end,
     }
-    for key, value in _pairs(settings):
+    for key, value in pairs(settings):
         if key == "frames":
             top[key] = value
         else:
@@ -143,6 +143,11 @@ def configure(
         "solver": _validated(SolverOptions, values["solver"]),
     }
     config = _validated(RunConfig, {**top, **parts})
+    last = entry.lasts(config.options)
+    if config.t_end >= last:
+        raise ConfigError(
+            f"t_end = {config.t_end:g} s must be less than {last:g} s, {entry.why_it_ends} ({scene})."
+        )
     try:
         config.material.build()
         config.solver.build()
@@ -151,7 +156,8 @@ def configure(
     return config
 
 
-def _pairs(settings: Sequence[str] | Mapping[str, Any]) -> list[tuple[str, Any]]:
+def pairs(settings: Sequence[str] | Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """Names and values of "key=value" strings; the word none stands for None."""
     if isinstance(settings, Mapping):
         return list(settings.items())
     pairs = []

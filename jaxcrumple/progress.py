@@ -33,6 +33,8 @@ class ConsoleProgress:
 
     def __enter__(self) -> "ConsoleProgress":
         self.bar.start()
+        if not self.console.is_terminal:
+            self._say("compiling")
         return self
 
     def __exit__(self, *_) -> None:
@@ -52,6 +54,8 @@ class ConsoleProgress:
         text = ", ".join(part for part in (stage, f"h = {h:.1e} s", energy, why) if part)
         self.bar.update(self.task, completed=float(state.t), description=text)
         for event in events.itertuples():
+            if "quasistatic" not in (event.origin, event.to):
+                continue  # With inertia throughout, snaps go to explicit steps and back by the dozen.
             self._say(f"t = {event.t:.5f} s: {event.origin} -> {event.to}")
         now = time.perf_counter()
         if not self.console.is_terminal and now - self.printed > INTERVAL:

@@ -4,7 +4,7 @@ import importlib.metadata
 import resource
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -184,16 +184,25 @@ def _summary(
     }
 
 
-def check_resumable(config: RunConfig, out: str | Path) -> None:
+def check_resumable(config: RunConfig, given: Collection[str], out: str | Path) -> None:
     """Refuse to resume a folder whose run was asked something else.
 
-    **Raises:** `ConfigError` naming the options that differ.
+    Of `config` only what was `given` counts, by name.
+
+    **Raises:** `ConfigError` naming the options that differ, and their values.
     """
-    stored = stored_config(RunDirectory.open(out)).model_dump()
-    given = config.model_dump()
-    different = sorted(key for key in given if given[key] != stored[key])
+    stored, wanted = _flat(stored_config(RunDirectory.open(out))), _flat(config)
+    different = [name for name in ("scene", *given) if stored.get(name) != wanted[name]]
     if different:
+        was = ", ".join(f"{name} = {stored.get(name)!r}, not {wanted[name]!r}" for name in different)
         raise ConfigError(
-            f"{out} was started with other values of {', '.join(different)}; resume it with those "
-            "(or with none at all), or start a new run in another folder."
+            f"{out} was started with {was}; resume it with the values it has (or with none at all), or start "
+            "a new run in another folder."
         )
+
+
+def _flat(config: RunConfig) -> dict[str, Any]:
+    """All options by name."""
+    top = config.model_dump()
+    groups = [top.pop(name) for name in ("options", "material", "solver")]
+    return top | {name: value for group in groups for name, value in group.items()}

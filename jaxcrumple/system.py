@@ -107,11 +107,13 @@ def initial_state(scene: Scene, x: Array, v: Array | None = None, *, window: int
     if window < 1:
         raise ValueError(f"window = {window!r} must be at least 1 step.")
     x = jnp.asarray(x, float)
-    if x.shape != (scene.n_nodes, 3) or not np.all(np.isfinite(x)):
-        raise ValueError(f"x must be finite and of shape ({scene.n_nodes}, 3); got shape {x.shape}.")
     v = jnp.zeros_like(x) if v is None else jnp.asarray(v, float)
-    if v.shape != x.shape or not np.all(np.isfinite(v)):
-        raise ValueError(f"v must be finite and of the shape of x, {x.shape}; got shape {v.shape}.")
+    for name, value in (("x", x), ("v", v)):
+        if value.shape != (scene.n_nodes, 3):
+            raise ValueError(f"{name} has shape {value.shape}; it must be ({scene.n_nodes}, 3).")
+        bad = np.flatnonzero(~np.all(np.isfinite(value), axis=1))
+        if bad.size:
+            raise ValueError(f"{name} of node {bad[0]} is {np.asarray(value[bad[0]])}; it must be finite.")
     # Explicit types: weakly typed leaves would make the second call of a program compile again.
     zero, nought = jnp.asarray(0, int), jnp.asarray(0.0, float)
     p = None if scene.plasticity is None else scene.bending.rest_curvature

@@ -200,7 +200,7 @@ def test_plot_draws_again(copy, monkeypatch, capsys):
         (["radial", "--set", "thickness=-1"], "thickness = -1.0 [m] is not usable"),
         (["radial", "--t-end", "nan"], "t_end = nan: Input should be a finite number"),
         (["radial", "--nodes", "3"], "nodes = 3: Input should be greater than or equal to 16"),
-        (["radial", "--nodes", "60", "--set", "radius=0.01"], "choose at least 0.07071 m"),
+        (["radial", "--nodes", "60", "--set", "radius=0.07"], "choose at least 0.07071 m"),
         (["radial", "--resume"], "does not exist; give the output folder of a run"),
         (["radial", "--resume", "--nodes", "60"], "does not exist; give the output folder of a run"),
     ],
@@ -245,10 +245,11 @@ def test_resuming_with_other_options_is_refused(refused, finished):
     folder, _ = finished
     before = contents(folder)
     message = refused("run", "radial", *SMALL, "--t-end", "0.03", "--resume", "--out", folder)
-    assert "was started with other values of t_end; resume it with those" in message
-    message = refused("run", "radial", *SMALL, "--set", "thickness=1e-4", "--resume", "--out", folder)
-    assert "other values of material" in message
-    assert "other values of scene" in refused("run", "square", "--resume", "--out", folder)
+    assert "was started with t_end = 0.02, not 0.03; resume it with the values it has" in message
+    # Only what is given counts: the folder's other options are not the defaults.
+    message = refused("run", "radial", "--set", "thickness=1e-4", "--resume", "--out", folder)
+    assert "was started with thickness = 0.00025, not 0.0001; resume" in message
+    assert "scene = 'radial', not 'square'" in refused("run", "square", "--resume", "--out", folder)
     assert contents(folder) == before
 
 

@@ -60,6 +60,8 @@ REFUSED = [
     ({"t_end": -1.0}, "t_end = -1.0: Input should be greater than 0"),
     ({"t_end": np.nan}, "t_end = nan: Input should be a finite number"),
     ({"t_end": np.inf}, "t_end = inf: Input should be a finite number"),
+    ({"t_end": 7.1}, "t_end = 7.1 s must be less than 7.1 s, when its sphere has shrunk to nothing"),
+    ({"settings": ["speed=1"]}, "t_end = 2.6 s must be less than 0.071 s"),
     ({"nodes": 15}, "nodes = 15: Input should be greater than or equal to 16"),
     ({"nodes": 10**7}, "nodes = 10000000: Input should be less than or equal to 1000000"),
     ({"seed": -1}, "seed = -1: Input should be greater than or equal to 0"),
@@ -83,7 +85,6 @@ def test_unknown_scenes_are_refused():
     ("settings", "message"),
     [
         (["radius=0.05"], "radius = 0.05 m leaves the corners of a sheet of size 0.1 m outside; choose at"),
-        (["speed=inf"], "speed = inf must be a positive length"),
         (["size=inf"], "size = inf must be a positive length"),
         (["imperfection=inf"], "imperfection = inf m must be zero or positive"),
     ],
@@ -93,6 +94,11 @@ def test_impossible_scenes_leave_nothing_on_the_disk(tmp_path, settings, message
     with pytest.raises(ValueError, match=message):
         run.start_run(config, tmp_path / "a" / "run")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_speed_that_is_not_finite_is_refused():
+    with pytest.raises(ValueError, match="speed = inf must be a positive length"):
+        SCENES["radial"].build(60, speed=np.inf)
 
 
 def test_taken_places_are_refused_before_the_mesh_is_made(tmp_path, monkeypatch):

@@ -237,6 +237,49 @@ def test_derivatives_follow_from_the_implicit_function_theorem(solver):
     assert both == pytest.approx(float(cotangent @ expected), rel=1e-5)
 
 
+@needs_direct
+def test_the_direct_solver_solves_indefinite_systems():
+    pattern, values, eigenvalues, rhs = compressed()
+    assert np.sum(eigenvalues < 0) > 10
+    exact = np.linalg.solve(matrix(pattern, values).toarray(), rhs)
+    x, vjp = jax.vjp(lambda v: linear_solve("direct", pattern, v, rhs), values)
+    assert np.linalg.norm(x - exact) < 1e-7 * np.linalg.norm(exact)
+    # d(x.x)/2 along the values themselves is -x.x: twice the matrix is half the solution.
+    assert float(vjp(x)[0] @ values) == pytest.approx(-float(exact @ exact), rel=1e-6)
+
+
+@pytest.mark.parametrize("solver", ITERATIVE)
+def test_conjugate_gradients_give_nan_where_they_cannot_solve(solver):
+    pattern, values, _, rhs = compressed()
+    assert np.all(np.isnan(linear_solve(solver, pattern, values, rhs)))
+    pattern, values, rhs = crumpled()
+    hasty = eqx.tree_at(lambda s: s.max_iterations, solver, 3, is_leaf=lambda leaf: leaf is None)
+    assert np.all(np.isnan(linear_solve(hasty, pattern, values, rhs)))
+
+
+@needs_direct
+def test_a_factor_is_given_back():
+    from pardiso_mkl_jax.primitive import RebuildReason, rebuild_stats
+
+    pattern, values, rhs = crumpled()
+    solver = Direct()
+
+    @eqx.filter_jit
+    def once(values):
+        factor = solver.factor(pattern, values, solver.start(pattern))
+        x = solver.solve(pattern, factor, values, rhs, 1e-8).x
+        solver.release(factor, x)
+        return factor, x
+
+    before = rebuild_stats()[RebuildReason.FREED]
+    factor, x = once(values)
+    assert rebuild_stats()[RebuildReason.FREED] == before
+    # Whoever uses it again gets the same answer, from a factor made anew.
+    again = eqx.filter_jit(solver.solve)(pattern, factor, values, rhs, 1e-8).x
+    assert rebuild_stats()[RebuildReason.FREED] == before + 1
+    np.testing.assert_array_equal(again, x)
+
+
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_expanded_product_keeps_precision_and_runs_in_batches(dtype):
     pattern, values, rhs = crumpled()

@@ -1,7 +1,8 @@
 """Scenes that can be run by name, with their options."""
 
-from collections.abc import Callable
-from typing import Literal, NamedTuple
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -11,12 +12,17 @@ from jaxcrumple.scenes.radial import Setup, radial
 
 
 class SceneEntry(NamedTuple):
-    """A scene's function, its options, the time it ends by default (s), and one line about it."""
+    """A scene's function, its options, the time it ends by default (s), and one line about it.
+
+    `lasts`: the time in s, of the options, that a run cannot reach, and `why_it_ends` there.
+    """
 
     build: Callable[..., Setup]
     options: type[BaseModel]
     t_end: float
     summary: str
+    lasts: Callable[[Mapping[str, Any]], float] = lambda options: math.inf
+    why_it_ends: str = ""
 
 
 class RadialOptions(BaseModel):
@@ -69,6 +75,8 @@ SCENES: dict[str, SceneEntry] = {
         RadialOptions,
         2.6,
         "square sheet in a sphere that shrinks from 7.1 cm at 1 cm/s (Figs. 5, 6, 8)",
+        lasts=lambda options: options["radius"] / options["speed"],
+        why_it_ends="when its sphere has shrunk to nothing",
     ),
     "arch": SceneEntry(
         arch, ArchOptions, 0.05, "clamped shallow arch that snaps through under a load at midspan"

@@ -10,6 +10,9 @@ from jaxcrumple.model.pattern import Pattern
 from jaxcrumple.solvers.cg import conjugate_gradients
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor, Solution, identity_values
 
+# Rounds of iterative refinement of a solution that nobody checks by conjugate gradients.
+REFINEMENTS = 2
+
 
 class Direct(AbstractLinearSolver):
     """One symbolic analysis per program call, one numeric factor per tangent, many solves.
@@ -52,23 +55,42 @@ class Direct(AbstractLinearSolver):
         self, pattern: Pattern, factor: Factor, values: Array, rhs: Array, rtol: Array | float
     ) -> Solution:
         """One back substitution if the factor is of these `values`; else conjugate gradients with it."""
+        return conjugate_gradients(
+            lambda d: pattern.product(values, d),
+            lambda r: _substitute(pattern, factor, r),
+            factor,
+            rhs,
+            rtol,
+            self.max_iterations,
+        )
+
+    def refined(self, pattern: Pattern, factor: Factor, rhs: Array) -> Array:
+        """Solution (3n,) for the factor's own values, definite or not, with iterative refinement."""
+        x = jnp.zeros_like(rhs)
+        for _ in range(REFINEMENTS + 1):
+            x = x + _substitute(pattern, factor, rhs - pattern.product(factor.values, x))
+        return x
+
+    def release(self, factor: Factor, after: Array) -> None:
+        """Free the factor; the library would keep those of the last calls."""
         from pardiso_mkl_jax import primitive
 
-        def substitute(r: Array) -> Array:
-            r = _unbatched(r)
-            x, _, _ = primitive.solve_stateful(
-                factor.workspace,
-                pattern.indptr,
-                pattern.indices,
-                factor.values,
-                r[None],
-                matrix_type=_kind(),
-            )
-            return x[0]
+        primitive.release(factor.workspace, after.astype(float))
 
-        return conjugate_gradients(
-            lambda d: pattern.product(values, d), substitute, factor, rhs, rtol, self.max_iterations
-        )
+
+def _substitute(pattern: Pattern, factor: Factor, rhs: Array) -> Array:
+    """Forward and back substitution."""
+    from pardiso_mkl_jax import primitive
+
+    x, _, _ = primitive.solve_stateful(
+        factor.workspace,
+        pattern.indptr,
+        pattern.indices,
+        factor.values,
+        _unbatched(rhs)[None],
+        matrix_type=_kind(),
+    )
+    return x[0]
 
 
 @jax.custom_batching.custom_vmap

@@ -88,6 +88,8 @@ def integrate(
         return _explicit_stage(scene, carry, t_stop, solver) if solver.has(EXPLICIT) else carry
 
     end = jax.lax.while_loop(_going, stages, carry)
+    if solver.implicit is not None and end.factor is not None:
+        solver.implicit.linear.release(end.factor, end.state.x)
     return end.state, end.log
 
 

@@ -51,6 +51,9 @@ class AbstractLinearSolver(eqx.Module):
         """Solve A x = `rhs` (3n,), A being `values`, until the residual is `rtol` of it; the factor may
         be that of older values."""
 
+    def release(self, factor: Factor, after: Array) -> None:
+        """Give back what the factor holds outside the arrays, once `after` is known."""
+
 
 def identity_values(pattern: Pattern) -> Array:
     """Values of the identity matrix."""

@@ -121,5 +121,6 @@ def _relax(scene: Scene, state: State, tolerance: Array, linear, max_iterations:
     # The iteration's own matrices are shifted until they are definite: judge the bare one. A trace
     # of the shift stays, above rounding, so that rigid motions of a free sheet do not count.
     bare = elastic_tangent(scene, end.x, state.p, state.t, PROBE_SHIFT * top)
-    negative = linear.factor(scene.pattern, bare, end.factor).negative
-    return Relaxed(rested, left <= tolerance, end.iterations, left, negative)
+    last = linear.factor(scene.pattern, bare, end.factor)
+    linear.release(last, last.negative)
+    return Relaxed(rested, left <= tolerance, end.iterations, left, last.negative)

@@ -1,11 +1,16 @@
 """`linear_solve`: any of the linear solvers as a differentiable function."""
 
 import jax
+import jax.numpy as jnp
 from jax import Array
 
 from jaxcrumple.model.pattern import Pattern
 from jaxcrumple.solvers.choice import choose_linear_solver
+from jaxcrumple.solvers.direct import Direct
 from jaxcrumple.solvers.linear import AbstractLinearSolver
+
+# Factor by which a residual may exceed what was asked for and rounding together.
+SLACK = 10.0
 
 
 def linear_solve(
@@ -14,7 +19,9 @@ def linear_solve(
     """Solution (3n,) of A x = `rhs`, differentiable with respect to `values` (nnz,) and `rhs`.
 
     The derivatives, forward and reverse, follow from the implicit function theorem, dA x + A dx = db,
-    and are solved with the same factor to the same `rtol`.
+    and are solved with the same factor to the same `rtol`. A sheet about to buckle has an indefinite matrix:
+    the direct solver solves that too, the others only definite ones. Where the residual stays above `rtol`
+    and above what rounding explains, the solution is NaN.
 
     **Arguments:** `solver`: its name ("auto", "direct", "two-level", "block-cg") or itself; `pattern`: that
     of a scene; `values` (nnz,) of the upper triangle in N/m, as `elastic_tangent` returns them; `rhs` (3n,)
@@ -31,6 +38,12 @@ def linear_solve(
     factor = solver.factor(pattern, jax.lax.stop_gradient(values), solver.start(pattern))
 
     def solve(_, b: Array) -> Array:
-        return solver.solve(pattern, factor, factor.values, b, rtol).x
+        if isinstance(solver, Direct):
+            x = solver.refined(pattern, factor, b)
+        else:
+            x = solver.solve(pattern, factor, factor.values, b, rtol).x
+        left = jnp.linalg.norm(b - pattern.product(factor.values, x))
+        rounding = jnp.finfo(b.dtype).eps * jnp.max(jnp.abs(factor.values)) * jnp.linalg.norm(x)
+        return jnp.where(left <= SLACK * (rtol * jnp.linalg.norm(b) + rounding), x, jnp.nan)
 
     return jax.lax.custom_linear_solve(lambda x: pattern.product(values, x), rhs, solve, symmetric=True)
