@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import jax
+import pytest
 
 jax.config.update("jax_enable_x64", True)
 
@@ -23,3 +24,10 @@ def _keep_compiled_programs() -> None:
 
 
 _keep_compiled_programs()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _forgotten_programs():
+    """Drop compiled programs after each file: all of them in one process exhaust its memory maps."""
+    yield
+    jax.clear_caches()
