@@ -306,7 +306,8 @@ def explain(before: State, after: State) -> str:
         "fold": "hinges about to pass 180 degrees",
         "nonfinite": "steps that are not finite",
     }
-    if steps[EXPLICIT] > steps[QUASISTATIC] + steps[IMPLICIT]:
+    going = bool(after.result != RESULTS.collapsed)
+    if going and steps[EXPLICIT] > steps[QUASISTATIC] + steps[IMPLICIT]:
         return f"a snap: explicit steps of {float(after.h_explicit):.1e} s, at their stability limit"
     worst = int(np.argmax(rejected))
     if rejected[worst] * 4 > steps[QUASISTATIC] + steps[IMPLICIT]:
