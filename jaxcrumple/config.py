@@ -160,13 +160,13 @@ def pairs(settings: Sequence[str] | Mapping[str, Any]) -> list[tuple[str, Any]]:
     """Names and values of "key=value" strings; the word none stands for None."""
     if isinstance(settings, Mapping):
         return list(settings.items())
-    pairs = []
+    found = []
     for text in settings:
         key, equals, value = text.partition("=")
         if not equals or not key:
             raise ConfigError(f"setting {text!r} must read key=value, e.g. thickness=1e-4.")
-        pairs.append((key.strip(), None if value.strip().lower() == "none" else value.strip()))
-    return pairs
+        found.append((key.strip(), None if value.strip().lower() == "none" else value.strip()))
+    return found
 
 
 def _group(key: str, groups: Mapping[str, type[BaseModel]]) -> str:

@@ -35,7 +35,7 @@ from jaxcrumple.config import RunConfig, configure
 from jaxcrumple.scenes import Setup
 from jaxcrumple.scenes.radial import smooth_imperfection
 from jaxcrumple.simulate import explain
-from jaxcrumple.solvers.scheme import REFERENCE_SHARE
+from jaxcrumple.solvers.scheme import REFERENCE_SHARE, Integrator
 from jaxcrumple.system import restart_history
 
 SIZE, START, END = 0.1, 0.071, 0.05
@@ -135,9 +135,13 @@ def judged(config: RunConfig, seconds: float) -> dict:
 
 
 def _run(setup: Setup, config: RunConfig, rtol: float, times: np.ndarray, seconds: float) -> Solution:
-    solver = config.solver.model_copy(update={"rtol": rtol}).build()
     start = initial_state(setup.scene, setup.x)
-    return simulate(setup.scene, start, times, solver=solver, max_seconds=seconds)
+    return simulate(setup.scene, start, times, solver=_solver(config, rtol), max_seconds=seconds)
+
+
+def _solver(config: RunConfig, rtol: float) -> Integrator:
+    """The run's integrator at another tolerance."""
+    return config.solver.model_copy(update={"rtol": rtol}).build()
 
 
 def _radius(setup: Setup, solution: Solution) -> np.ndarray:
@@ -176,7 +180,7 @@ def _shifted(setup: Setup, config: RunConfig, times: np.ndarray, seconds: float)
     Once is not enough: a shift dies away before a buckling that comes later.
     """
     rtol = config.solver.rtol
-    solver = config.solver.model_copy(update={"rtol": 0.1 * rtol}).build()
+    solver = _solver(config, 0.1 * rtol)
     shift = _shift(setup, REFERENCE_SHARE * rtol * SIZE)
     state, frames, begin = initial_state(setup.scene, setup.x), [], time.perf_counter()
     stops = np.interp(
