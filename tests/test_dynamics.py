@@ -3,11 +3,16 @@
 import functools
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from lattice import SPACING, advance, constants, held, solver, strip_scene, with_terms
+from lattice import SPACING, advance, constants, elastic, held, lattice, solver, strip_scene, with_terms
 
+from jaxcrumple.model.loads import ElementEnergy
+from jaxcrumple.model.scene import sheet
+from jaxcrumple.simulate import simulate
 from jaxcrumple.solvers.explicit import stability_limit
+from jaxcrumple.solvers.scheme import integrator
 from jaxcrumple.system import EXPLICIT, IMPLICIT, QUASISTATIC, energies, initial_state, tangent
 
 strip = functools.cache(strip_scene)
@@ -126,6 +131,34 @@ def test_free_fall(drag):
         v, shift = v0 + g * t, v0 * t + g * t**2 / 2
     np.testing.assert_allclose(end.v, np.broadcast_to(v, mesh.vertices.shape), atol=1e-10)
     np.testing.assert_allclose(end.x - mesh.vertices, np.broadcast_to(shift, end.x.shape), atol=1e-12)
+
+
+def spring(x, parameters, t):
+    """A spring from a node to its anchor."""
+    stiffness, anchor = parameters
+    return 0.5 * stiffness * jnp.sum((x[0] - anchor) ** 2)
+
+
+@pytest.mark.parametrize("drag", [5.0, 100.0])
+def test_errors_of_a_damped_oscillation_add_up_to_less_than_rtol(drag):
+    """However many steps the oscillation remembers: some 100 with the larger drag, 4000 with the smaller."""
+    omega, rtol = 400.0, 1e-2
+    mesh = lattice(4, 3)
+    mass = sheet(mesh, elastic()).mass
+    anchors = (omega**2 * mass, jnp.asarray(mesh.vertices))
+    springs = ElementEnergy(jnp.arange(mesh.n_nodes)[:, None], spring, anchors)
+    scene = sheet(mesh, elastic(drag_rate=drag), extra=[springs])
+    shift = 0.3 * float(scene.length_scale) * np.array([0.6, 0.0, 0.8])
+    t = np.linspace(0.0, 0.4, 11)[1:]
+    state = initial_state(scene, mesh.vertices + shift)
+    solver = integrator(rtol, scheme="dynamic", linear="block-cg")
+    run = simulate(scene, state, t, solver=solver, throw=True)
+    decay = drag / 2
+    damped = np.sqrt(omega**2 - decay**2)
+    expected = np.exp(-decay * t) * (np.cos(damped * t) + decay / damped * np.sin(damped * t))
+    found = run.x - mesh.vertices
+    error = np.abs(found - expected[:, None, None] * shift).max() / float(scene.length_scale)
+    assert error < rtol
 
 
 def momenta(scene, state):

@@ -25,6 +25,8 @@ from jaxcrumple.system import CAUSES, IMPLICIT, ImplicitStep, State, implicit_st
 
 # A change of order must promise a step longer by this factor.
 ORDER_GAIN = 1.1
+# Steps with inertia whose errors may add up before each must leave less, and the most that are allowed for.
+REMEMBERED, MOST_REMEMBERED = 500.0, 1e4
 
 
 class VariableOrder(AbstractImplicit):
@@ -150,7 +152,7 @@ class VariableOrder(AbstractImplicit):
         # A start compares with an Euler step, whose error is the formula's reversed; the step that
         # aligns the velocity has nothing to compare with, and may move by the whole tolerance.
         share = jnp.where(starts, 0.5, formula.share)
-        part = jnp.where(state.stage == IMPLICIT, self.inertial_share, LOCAL_SHARE)
+        part = jnp.where(state.stage == IMPLICIT, self.inertial_share * _remembered(scene, h), LOCAL_SHARE)
         allowed = jnp.where(aligns(state), 1.0, part) * self.rtol
         errors = [jnp.asarray(jnp.inf), share * here / allowed, jnp.asarray(jnp.inf)]
         for place, other in ((0, order - 1), (2, order + 1)):
@@ -187,6 +189,15 @@ class _Formula(NamedTuple):
     theta: Array
     orders: _Orders
     share: Array
+
+
+def _remembered(scene: Scene, h: Array) -> Array:
+    """Factor of a step's share of the tolerance where drag lets more than `REMEMBERED` steps of `h` add up.
+
+    A wave decays with exp(-b t / 2m), and what the steps left in it with it.
+    """
+    steps = 2.0 * scene.inertial_time / h
+    return jnp.clip(REMEMBERED / steps, REMEMBERED / MOST_REMEMBERED, 1.0)
 
 
 def _predicted(scene: Scene, state: State, h: Array, order: Array) -> Array:
