@@ -64,8 +64,8 @@ class Direct(AbstractLinearSolver):
             self.max_iterations,
         )
 
-    def refined(self, pattern: Pattern, factor: Factor, rhs: Array) -> Array:
-        """Solution (3n,) for the factor's own values, definite or not, with iterative refinement."""
+    def solve_factored(self, pattern: Pattern, factor: Factor, rhs: Array, rtol: Array | float) -> Array:
+        """Solution (3n,) for the factor's own values, definite or not, refined to rounding."""
         x = jnp.zeros_like(rhs)
         for _ in range(REFINEMENTS + 1):
             x = x + _substitute(pattern, factor, rhs - pattern.product(factor.values, x))

@@ -51,6 +51,10 @@ class AbstractLinearSolver(eqx.Module):
         """Solve A x = `rhs` (3n,), A being `values`, until the residual is `rtol` of it; the factor may
         be that of older values."""
 
+    def solve_factored(self, pattern: Pattern, factor: Factor, rhs: Array, rtol: Array | float) -> Array:
+        """Solution (3n,) for the factor's own values, to `rtol` at least."""
+        return self.solve(pattern, factor, factor.values, rhs, rtol).x
+
     def release(self, factor: Factor, after: Array) -> None:
         """Give back what the factor holds outside the arrays, once `after` is known."""
 

@@ -6,7 +6,6 @@ from jax import Array
 
 from jaxcrumple.model.pattern import Pattern
 from jaxcrumple.solvers.choice import choose_linear_solver
-from jaxcrumple.solvers.direct import Direct
 from jaxcrumple.solvers.linear import AbstractLinearSolver
 
 # Factor by which a residual may exceed what was asked for and rounding together.
@@ -38,10 +37,7 @@ def linear_solve(
     factor = solver.factor(pattern, jax.lax.stop_gradient(values), solver.start(pattern))
 
     def solve(_, b: Array) -> Array:
-        if isinstance(solver, Direct):
-            x = solver.refined(pattern, factor, b)
-        else:
-            x = solver.solve(pattern, factor, factor.values, b, rtol).x
+        x = solver.solve_factored(pattern, factor, b, rtol)
         left = jnp.linalg.norm(b - pattern.product(factor.values, x))
         rounding = jnp.finfo(b.dtype).eps * jnp.max(jnp.abs(factor.values)) * jnp.linalg.norm(x)
         return jnp.where(left <= SLACK * (rtol * jnp.linalg.norm(b) + rounding), x, jnp.nan)
