@@ -187,9 +187,14 @@ def draw(rows: list[dict]) -> Figure:
     figure = Figure(figsize=(4.2 * len(panels), 4), layout="constrained")
     for axes, key in zip(np.atleast_1d(figure.subplots(1, len(panels))), panels, strict=True):
         mine = [r for r in rows if (r["stretch"], r["nodes"]) == key and np.isfinite(r["error"])]
-        for scheme in dict.fromkeys((r["scheme"], r["linear"]) for r in mine):
+        for number, scheme in enumerate(COMPARED):
             line = [(r["error"], r["cpu_s"]) for r in mine if (r["scheme"], r["linear"]) == scheme]
-            axes.loglog(*zip(*line, strict=True), "o-", label=" ".join(filter(None, scheme)))
+            axes.loglog(
+                *np.array(line or [(np.nan, np.nan)]).T,
+                "o-",
+                color=f"C{number}",
+                label=" ".join(filter(None, scheme)),
+            )
         axes.set(title=f"{key[0]}, n = {key[1]}", xlabel="error / sqrt(A)", ylabel="CPU s")
         axes.grid(alpha=0.3)
         axes.legend(frameon=False, fontsize=7)
