@@ -40,7 +40,8 @@ class VariableOrder(AbstractImplicit):
     - `linear`: the linear solver.
     - `rho_infinity`: what a step with inertia leaves of a mode of infinite frequency, 0 (BDF2) to 1
       (the midpoint rule, which leaves all).
-    - `inertial_share`: share of `rtol` that the local error of a step with inertia may use.
+    - `inertial_share`: share of `rtol` that the local error of a step with inertia may use; less where
+      drag forgets so slowly that more than `REMEMBERED` steps add up.
     - `newton_share`: Newton's error as a share of what a step may leave.
     - `max_iterations`: Newton iterations before a step is rejected.
     - `inertia`: whether any stage has inertia; without it nothing is compiled for it.
