@@ -44,6 +44,7 @@ STAGE_COLORS = {"quasistatic": "#1f6fb4", "implicit": "#e8a33d", "explicit": "#d
 ENERGY_COLORS = {
     "stretch": "#1f6fb4",
     "bending": "#d9541e",
+    "contact": "#c2a500",
     "confinement": "#5b8c3a",
     "gravity": "#8c564b",
     "extra": "#7f5ab0",

@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike
 
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.scene import Scene
+from jaxcrumple.renewal import Renewal
+from jaxcrumple.solvers.direct import Direct
 from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.log import AFTER, BEFORE, Row
 from jaxcrumple.solvers.scheme import Integrator, integrator
@@ -28,10 +30,12 @@ from jaxcrumple.system import (
 )
 from jaxcrumple.threads import limited_blas
 
+# Seconds between reports to observers where calls of `integrate` are shorter.
+CHUNK = 1.0
 _integrate = eqx.filter_jit(integrate)
 
-ENERGIES = ("stretch", "bending", "confinement", "gravity", "extra", "kinetic")
-RESULT_NAMES = ("success", "budget", "collapsed", "nonfinite")
+ENERGIES = ("stretch", "bending", "contact", "confinement", "gravity", "extra", "kinetic")
+RESULT_NAMES = ("success", "budget", "collapsed", "blocked", "nonfinite")
 
 
 class SimulationError(RuntimeError):
@@ -134,12 +138,16 @@ def simulate(
     record = _Record()
     watchers = (record, *observers)
     with limited_blas():
+        renewal = None
+        if scene.contact is not None:
+            renewal = Renewal(scene, isinstance(solver.implicit.linear, Direct))
+            scene, state = renewal.first(scene, state)
         compile_s = _compile(scene, state, solver)
         start = time.perf_counter()
         budget = _Budget(state, max_attempts, max_seconds)
         state = eqx.tree_at(lambda s: s.result, state, RESULTS.success)
         for index in range(first_frame, len(stops)):
-            state = _advance(scene, state, stops[index], solver, watchers, index, budget)
+            scene, state = _advance(scene, state, stops[index], solver, watchers, index, budget, renewal)
             if _name(state) != "success":
                 break
             for watcher in watchers:
@@ -207,19 +215,32 @@ def _compile(scene: Scene, state: State, solver: Integrator) -> float:
     return time.perf_counter() - start
 
 
-def _advance(scene, state: State, t_stop: float, solver, watchers, frames: int, budget: _Budget) -> State:
+def _advance(
+    scene, state: State, t_stop: float, solver, watchers, frames: int, budget: _Budget, renewal: Renewal | None
+) -> tuple[Scene, State]:
+    rows, told = [], time.perf_counter()
     while float(state.t) < t_stop:
         left = budget.left(state)
         if left <= 0:
-            return eqx.tree_at(lambda s: s.result, state, RESULTS.budget)
-        state, log = _integrate(scene, state, as_float(t_stop), solver, as_float(left))
-        rows = np.asarray(log.rows[: int(log.length)])
-        history, events = history_table(rows), events_table(rows)
-        for watcher in watchers:
-            watcher.chunk(state, history, events, frames)
-        if _name(state) != "success":
-            return state
-    return state
+            state = eqx.tree_at(lambda s: s.result, state, RESULTS.budget)
+        else:
+            state, log = _integrate(scene, state, as_float(t_stop), solver, as_float(left))
+            rows.append(np.asarray(log.rows[: int(log.length)]))
+        over = _name(state) != "success" or float(state.t) >= t_stop
+        if over or time.perf_counter() - told > CHUNK:
+            _tell(watchers, state, np.concatenate(rows), frames)
+            rows, told = [], time.perf_counter()
+        if over:
+            break
+        if renewal is not None:
+            scene, state = renewal(scene, state)
+    return scene, state
+
+
+def _tell(watchers, state: State, rows: np.ndarray, frames: int) -> None:
+    history, events = history_table(rows), events_table(rows)
+    for watcher in watchers:
+        watcher.chunk(state, history, events, frames)
 
 
 def history_table(rows: np.ndarray) -> pd.DataFrame:
@@ -305,6 +326,7 @@ def explain(before: State, after: State) -> str:
         "unstable": "an equilibrium about to buckle",
         "fold": "hinges about to pass 180 degrees",
         "nonfinite": "steps that are not finite",
+        "contact": "contact about to be passed through",
     }
     going = bool(after.result != RESULTS.collapsed)
     if going and steps[EXPLICIT] > steps[QUASISTATIC] + steps[IMPLICIT]:

@@ -8,8 +8,10 @@ import numpy as np
 import scipy.sparse as sparse
 from jax import Array
 
+from jaxcrumple.model.contact import Contact
 from jaxcrumple.model.geometry import curvature
 from jaxcrumple.model.loads import Prescribed
+from jaxcrumple.model.near import SLACK
 from jaxcrumple.model.plasticity import implicit_update
 from jaxcrumple.model.scene import Scene
 
@@ -27,6 +29,10 @@ class RESULTS(eqx.Enumeration):  # type: ignore[misc]
     collapsed = (
         "the step size fell below what float64 resolves in every stage the scheme has; the last good "
         "state is kept. Look at the causes of rejection, and try another scheme, a smaller rtol or more drag"
+    )
+    blocked = (
+        "no step, however short, keeps the sheet from passing through itself or a wall; the last good state is "
+        "kept. The prescribed motion leaves no room, or a start lies in contact too deep"
     )
     nonfinite = (
         "forces are not finite in the current state; it is kept as it was. Look for zero-length "
@@ -71,7 +77,20 @@ class Counters(eqx.Module):
     switches: Array
 
 
-CAUSES = ("error", "newton", "unstable", "fold", "nonfinite")
+CAUSES = ("error", "newton", "unstable", "fold", "nonfinite", "contact")
+
+
+class Listing(eqx.Module):
+    """From where the candidates for contact are searched for, so that a saved state finds the same ones.
+
+    `x` (n, 3) m and `reach` (n,) m as in `Candidates`; `stale`: a new search is due; `overflow` (3,): which
+    of the lists in `Near` were too short for the next step.
+    """
+
+    x: Array
+    reach: Array
+    stale: Array
+    overflow: Array
 
 
 class State(eqx.Module):
@@ -80,7 +99,7 @@ class State(eqx.Module):
     `t` s; `x` (n, 3) m; `v` (n, 3) m/s; `p` (h,) rest curvature or None in an elastic scene; `h`,
     `h_explicit`: next step of the implicit stages and of the explicit one in s; `limit`: stability
     limit of explicit steps in s, measured now and then; `stage`: `QUASISTATIC`, `IMPLICIT`, `EXPLICIT`,
-    or -1 for that in which the scheme starts.
+    or -1 for that in which the scheme starts; `listing`: None without contact.
     """
 
     t: Array
@@ -91,6 +110,7 @@ class State(eqx.Module):
     h_explicit: Array
     limit: Array
     stage: Array
+    listing: Listing | None
     history: History
     monitor: Monitor
     counters: Counters
@@ -126,11 +146,19 @@ def initial_state(scene: Scene, x: Array, v: Array | None = None, *, window: int
         h_explicit=nought,
         limit=nought,
         stage=jnp.asarray(-1, int),
+        listing=None if scene.contact is None else _first_listing(scene.contact, x),
         history=restart_history(x, v, p),
         monitor=Monitor(jnp.zeros(window), zero, nought),
         counters=Counters(jnp.zeros(len(STAGES), int), jnp.zeros(len(CAUSES), int), zero, zero, zero, zero),
         result=RESULTS.success,  # type: ignore[arg-type]
     )
+
+
+def _first_listing(contact: Contact, x: Array) -> Listing:
+    """Where a run that starts at positions `x` (n, 3) searches."""
+    no = jnp.asarray(False)
+    reach = jnp.maximum(contact.calm, SLACK * contact.range)
+    return Listing(x, jnp.broadcast_to(reach, x.shape[0]), ~no, jnp.broadcast_to(no, 3))
 
 
 def check_state(scene: Scene, state: State) -> None:
@@ -165,6 +193,7 @@ class Energies(NamedTuple):
 
     stretch: Array
     bending: Array
+    contact: Array
     confinement: Array
     gravity: Array
     extra: Array
@@ -177,6 +206,7 @@ def energies(scene: Scene, x: Array, v: Array, p: Array | None, t: Array) -> Ene
     return Energies(
         stretch=scene.membrane.energy(x),
         bending=scene.bending.energy(x, scene.rest_curvature(p)),
+        contact=zero if scene.contact is None else scene.contact.energy(x),
         confinement=sum((w.energy(x, t) for w in scene.walls), zero),
         gravity=zero if scene.gravity is None else scene.gravity.energy(x),
         extra=sum((e.energy(x, t) for e in scene.extra), zero),
@@ -192,6 +222,8 @@ def potential_energy(scene: Scene, x: Array, p: Array | None, t: Array) -> Array
 
 def _external_force(scene: Scene, x: Array, t: Array) -> Array:
     total = scene.membrane.force(x)
+    if scene.contact is not None:
+        total = total + scene.contact.force(x)
     for wall in scene.walls:
         total = total + wall.force(x, t)
     for term in scene.extra:
@@ -299,7 +331,7 @@ def _condensed(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array
 
 
 def linearize(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array]:
-    """Residual (n, 3) and its exact, symmetric tangent: values (nnz,) of `scene.pattern` (eq. 51)."""
+    """Residual (n, 3) and its exact, symmetric tangent: values (size,) of `scene.pattern` (eq. 51)."""
     value, p, softening = _condensed(scene, step, x)
     edge_blocks = scene.membrane.blocks(x)
     nodes = jnp.zeros((x.shape[0], 3, 3), x.dtype)
@@ -315,7 +347,7 @@ def linearize(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array]
 
 
 def elastic_tangent(scene: Scene, x: Array, p: Array | None, t: Array, shift: Array | float = 0.0) -> Array:
-    """Values (nnz,) of the Hessian of the potential energy plus `shift` times the mass, in N/m."""
+    """Values (size,) of the Hessian of the potential energy plus `shift` times the mass, in N/m."""
     nodes = (shift * scene.mass)[:, None, None] * jnp.eye(3)
     hinge_blocks = scene.bending.blocks(x, scene.rest_curvature(p), None)
     return _assemble(scene, x, t, scene.membrane.blocks(x), hinge_blocks, nodes)
@@ -325,7 +357,8 @@ def _assemble(scene: Scene, x, t, edge_blocks, hinge_blocks, nodes) -> Array:
     for wall in scene.walls:
         nodes = nodes + wall.blocks(x, t)
     extra = [term.blocks(x, t) for term in scene.extra]
-    values = scene.pattern.assemble([edge_blocks, hinge_blocks, *extra], nodes)
+    contact = None if scene.contact is None else scene.contact.blocks(x)
+    values = scene.pattern.assemble([edge_blocks, hinge_blocks, *extra], nodes, contact)
     return values if scene.prescribed is None else _eliminate(scene, scene.prescribed, values)
 
 
@@ -334,7 +367,10 @@ def _eliminate(scene: Scene, prescribed: Prescribed, values: Array) -> Array:
     pattern, mask = scene.pattern, prescribed.mask.reshape(-1)
     fixed = mask[pattern.rows] | mask[pattern.indices]
     unit = jnp.where(pattern.rows == pattern.indices, jnp.mean(scene.membrane.stiffness), 0.0)
-    return jnp.where(fixed, unit, values)
+    own = jnp.where(fixed, unit, values[: pattern.nnz])
+    if pattern.contact is None:
+        return own
+    return jnp.concatenate([own, pattern.contact.free(values[pattern.nnz :], prescribed.mask)])
 
 
 def tangent(scene: Scene, state: State) -> sparse.csr_array:
@@ -345,9 +381,12 @@ def tangent(scene: Scene, state: State) -> sparse.csr_array:
     values = np.asarray(eqx.filter_jit(elastic_tangent)(scene, state.x, state.p, state.t))
     size = 3 * scene.n_nodes
     pattern = scene.pattern
+    own = values[: pattern.nnz]
     upper = sparse.csr_array(
-        (values, np.asarray(pattern.indices), np.asarray(pattern.indptr)), shape=(size, size)
+        (own, np.asarray(pattern.indices), np.asarray(pattern.indptr)), shape=(size, size)
     )
+    if pattern.contact is not None:
+        upper = upper + pattern.contact.upper(values[pattern.nnz :], size)
     return sparse.csr_array(upper + sparse.triu(upper, k=1).T)
 
 

@@ -34,7 +34,7 @@ from jaxcrumple.system import STAGES
 
 FORMAT, VERSION = "jaxcrumple-run", 1
 _NUMBERS = {"t", "h", "acceleration", "acceleration_mean", "error"}
-_ENERGIES = {"stretch", "bending", "confinement", "gravity", "extra", "kinetic"}
+_ENERGIES = {"stretch", "bending", "contact", "confinement", "gravity", "extra", "kinetic"}
 #: Columns of the history that count something and are written without a decimal point.
 INTEGERS = frozenset(Row._fields) - _NUMBERS - _ENERGIES - {"stage"}
 

@@ -1,14 +1,286 @@
-"""The paper's contact potential between two refined sites (Section 2.5)."""
+"""Self-contact between refined sites (Section 2.5): the potential, its forces and its tangent.
 
+Every triangle carries a lattice of sites (Fig. 2). A site stands for an area, so the energy is the paper's sum
+over pairs of sites written as a quadrature of $\\int\\int U(r)\\,dA\\,dA/a_0^2$, with $a_0 =
+\\sqrt 3\\sigma^2/2$, the area of a site of a lattice of spacing $\\sigma$: the stiffness per area does not
+depend on the refinement or on the triangle. On a lattice of triangles of height
+equal to $\\sigma$ these are the paper's (26)-(28).
+"""
+
+from collections.abc import Callable
+from typing import Literal, NamedTuple, get_args
+
+import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
+from jax.ops import segment_sum
+
+from jaxcrumple.material import ModelConstants
+from jaxcrumple.mesh import Mesh
+from jaxcrumple.model.crossing import crosses
+from jaxcrumple.model.fans import Fans, build_fans
+from jaxcrumple.model.fields import as_float
+from jaxcrumple.model.geometry import Vec, add, dot, gather, outer, scale
+from jaxcrumple.model.near import Candidates, Near, no_candidates, no_neighbors
+from jaxcrumple.model.stencil import scatter, upper_pairs
+
+Potential = Literal["penalty", "barrier"]
+# Guards the distance of two sites, m2: far below any distance that matters here.
+TINY = 1e-30
+# Largest spacing of sites in ranges, so that layers cannot rest between each other's sites.
+SPACING = 1.0
+# The same for a barrier: any point of a triangle lies within spacing/sqrt(3) of a site, so sheets that touch have
+# two sites within twice that, which is made the core.
+BARRIER_SPACING = 0.5
+# The core of the barrier in spacings; 2/sqrt(3) covers the sheet, and the rest is room for stretching.
+CORE = 1.05 * 2.0 / np.sqrt(3.0)
+# The largest core in ranges: what is left is where the barrier rises.
+WIDEST_CORE = 0.75
+# Share of the lowest triangle's height that separates triangles without a common node in a flat sheet.
+CALM = 0.8
+# Shares of the list's capacity for which a program is compiled: what is not needed is not computed.
+SIZES = (64, 8, 1)
 
 
-def pair_energy(distance: Array, stiffness: Array, sigma: Array) -> Array:
+def pair_energy(distance: Array, stiffness: Array, sigma: Array, core: Array | float | None = None) -> Array:
     """Energy of two sites in J: $k_s \\sigma^2 \\exp(\\sigma/(r - \\sigma))$ for $r < \\sigma$, else 0.
 
-    Its negative gradient is the force of eq. (26). Finite at $r = 0$: it repels but does not forbid.
+    Its negative gradient is the force of eq. (26). Finite at $r = 0$: it repels but does not forbid. With a
+    `core` $r_0$, r and $\\sigma$ are measured from there in the exponential, and a factor $(\\sigma -
+    r_0)/(r - r_0)$ makes the energy infinite at $r_0$ and inside.
     """
     inside = distance < sigma
     gap = jnp.where(inside, sigma - distance, sigma)
-    return jnp.where(inside, stiffness * sigma * sigma * jnp.exp(-sigma / gap), 0.0)
+    if core is None:
+        return jnp.where(inside, stiffness * sigma * sigma * jnp.exp(-sigma / gap), 0.0)
+    width, depth = sigma - core, jnp.where(distance > core, distance - core, 0.0)
+    growth = jnp.where(depth > 0, width / jnp.where(depth > 0, depth, 1.0), jnp.inf)
+    return jnp.where(inside, stiffness * sigma * sigma * jnp.exp(-width / gap) * growth, 0.0)
+
+
+class Sites(NamedTuple):
+    """The lattice of sites on every triangle: barycentric `weights` (s, 3) and `share` (s,) of its area."""
+
+    weights: np.ndarray
+    share: np.ndarray
+
+
+def build_sites(level: int) -> Sites:
+    """Sites of a refinement `level`: as many on an edge between its ends (Fig. 2), corners included."""
+    parts = level + 1
+    i, j = np.array([(i, j) for i in range(parts + 1) for j in range(parts + 1 - i)]).T
+    corners = np.stack([i, j, parts - i - j], axis=1)
+    # A third of each of the small triangles around a site, of which a corner has 1, a side 3, the inside 6.
+    zeros = np.sum(corners == 0, axis=1)
+    share = np.array([6, 3, 1])[zeros] / (3.0 * parts**2)
+    return Sites(corners / parts, share)
+
+
+class SelfContact(NamedTuple):
+    """Options of a sheet's self-contact.
+
+    - `potential`: "penalty" is the paper's (26), finite at r = 0, and steps that would pass through it are
+      rejected; "barrier" becomes infinite before sheets touch, and has four times as many sites.
+    - `range`: $\\sigma$ in m, by default $h_{eff}$.
+    - `level`: refinement, by default the lowest whose sites are no further apart than the range.
+    """
+
+    potential: Potential = "penalty"
+    range: float | None = None
+    level: int | None = None
+
+
+class Contact(eqx.Module):
+    """Repulsion between sites of one sheet.
+
+    - `faces` (f, 3); `rest` (n, 3) m: rest positions, which decide who never interacts.
+    - `weights` (s, 3), `share` (s,): `Sites`; `density` (f,): area of a triangle over $a_0$.
+    - `stiffness` $k_s$ in N/m, `range` $\\sigma$ in m, `core` m or None.
+    - `stride` m: how far a node may move in a step, less the sheet's mean motion; `calm` m: reach of lists in
+      which neighbours in a flat sheet do not appear.
+    - `fans`: triangles that share a node, and the hinges between them.
+    - `candidates`, `near`: who may meet, and the pairs of sites that do; see `jaxcrumple.model.near`.
+    """
+
+    faces: Array
+    rest: Array
+    weights: Array
+    share: Array
+    density: Array
+    stiffness: Array = eqx.field(converter=as_float)
+    range: Array = eqx.field(converter=as_float)
+    core: Array | None
+    stride: Array = eqx.field(converter=as_float)
+    calm: Array = eqx.field(converter=as_float)
+    fans: Fans
+    candidates: Candidates
+    near: Near
+
+    def energy(self, x: Array) -> Array:
+        """Energy in J at positions `x` (n, 3); NaN where the list of pairs does not hold for them."""
+        zero = jnp.zeros((), x.dtype)
+        return self._guarded(x, lambda pairs: jnp.sum(self._pair_energies(pairs, x)), zero)
+
+    def force(self, x: Array) -> Array:
+        """Nodal forces (n, 3) in N, (27)-(28); NaN where the list of pairs does not hold."""
+
+        def some(pairs: "_Pairs") -> Array:
+            r, distance = _separation(pairs, x)
+            push = scale(-pairs.strength * self._slope(distance) / distance, r)
+            vectors = tuple(scale(pairs.weights[:, k], push) for k in range(6))
+            return scatter(pairs.nodes, vectors, x.shape[0])
+
+        return self._guarded(x, some, jnp.zeros_like(x))
+
+    def blocks(self, x: Array) -> Array:
+        """Hessians (21, 3, 3, T) in N/m of the pairs of triangles in the list, as `upper_pairs(6)` orders
+        their nodes, (A.10) with its sign put right."""
+        count = self.near.triangles.shape[0]
+        local = np.array(upper_pairs(6))
+
+        def some(pairs: "_Pairs") -> Array:
+            r, distance = _separation(pairs, x)
+            stiffness = pairs.strength * self._stiffness(distance)
+            tension = pairs.strength * self._slope(distance) / distance
+            along = outer(r, r) / (distance * distance)
+            matrix = (stiffness - tension) * along + tension * jnp.eye(3)[..., None]
+            both = pairs.weights[:, local[:, 0]] * pairs.weights[:, local[:, 1]]
+            upper = matrix[np.triu_indices(3)]
+            products = (both[:, :, None] * upper.T[:, None, :]).reshape(-1, len(local) * 6)
+            return segment_sum(products, pairs.owner, count, indices_are_sorted=True)
+
+        sums = self._guarded(x, some, jnp.zeros((count, len(local) * 6), x.dtype))
+        square = np.zeros((3, 3), int)
+        square[np.triu_indices(3)] = np.arange(6)
+        square = np.maximum(square, square.T)
+        blocks = jnp.moveaxis(sums.reshape(count, len(local), 6)[:, :, square], 0, -1)
+        # A node that both triangles have is met from both sides.
+        nodes = self.faces[self.near.triangles].reshape(count, 6)
+        twice = (nodes[:, local[:, 0]] == nodes[:, local[:, 1]]) & (local[:, 0] != local[:, 1])
+        return blocks * jnp.where(twice, 2.0, 1.0).T[:, None, None]
+
+    def stiffness_bound(self, x: Array) -> Array:
+        """Numbers (n,) in N/m whose matrix bounds the Hessian: half-way closer than `x` is allowed for."""
+
+        def some(pairs: "_Pairs") -> Array:
+            _, distance = _separation(pairs, x)
+            closer = 0.9 * distance
+            most = jnp.maximum(jnp.abs(self._stiffness(closer)), jnp.abs(self._slope(closer) / closer))
+            parts = tuple(2.0 * jnp.abs(pairs.weights[:, k]) * pairs.strength * most for k in range(6))
+            index = jnp.concatenate([pairs.nodes[:, k] for k in range(6)])
+            return segment_sum(jnp.concatenate(parts), index, x.shape[0])
+
+        return self._guarded(x, some, jnp.zeros(x.shape[0], x.dtype))
+
+    def gaps(self, x: Array) -> tuple[Array, Array]:
+        """Smallest distance in m of two interacting sites (infinite if none), and how many there are."""
+        pairs = _Pairs(self.near.nodes, self.near.weights, self.near.strength, self.near.owner)
+        _, distance = _separation(pairs, x)
+        active = (pairs.strength > 0) & (distance < self.range)
+        return jnp.min(jnp.where(active, distance, jnp.inf)), jnp.sum(active)
+
+    def _pair_energies(self, pairs: "_Pairs", x: Array) -> Array:
+        _, distance = _separation(pairs, x)
+        return pairs.strength * pair_energy(distance, self.stiffness, self.range, self.core)
+
+    def _slope(self, distance: Array) -> Array:
+        return jax.vmap(jax.grad(lambda r: pair_energy(r, self.stiffness, self.range, self.core)))(distance)
+
+    def _stiffness(self, distance: Array) -> Array:
+        def slope(r: Array) -> Array:
+            return jax.grad(lambda s: pair_energy(s, self.stiffness, self.range, self.core))(r)
+
+        return jax.vmap(jax.grad(slope))(distance)
+
+    def _guarded(self, x: Array, function: Callable[["_Pairs"], Array], nothing: Array) -> Array:
+        """`function` of the listed pairs, computed for as few as possible; NaN where the list does not hold."""
+        value = _by_size(self.near, function, nothing)
+        return jnp.where(self.covers(x), value, jnp.nan)
+
+    def sharpest(self, theta: Array) -> Array:
+        """Largest turn in rad of a fold that the candidates leave out, where hinges have angles `theta` (h,)."""
+        return jnp.max(jnp.where(self.candidates.folded, 0.0, self.fans.turning(theta)), initial=0.0)
+
+    def crosses(self, start: Array, end: Array) -> Array:
+        """Whether parts of the sheet might touch while nodes go straight from `start` to `end` (n, 3)."""
+        return crosses(self, start, end)
+
+    def covers(self, x: Array) -> Array:
+        """Whether the lists hold for positions `x` (n, 3): no node moved further than they allow for."""
+        return self.candidates.covers(x) & self.near.covers(x)
+
+
+class _Pairs(NamedTuple):
+    nodes: Array
+    weights: Array
+    strength: Array
+    owner: Array
+
+
+def _separation(pairs: _Pairs, x: Array) -> tuple[Vec, Array]:
+    """$r_{12}$ of (26) and its length."""
+    corners = gather(x, pairs.nodes)
+    r = scale(pairs.weights[:, 0], corners[0])
+    for k in range(1, 6):
+        r = add(r, scale(pairs.weights[:, k], corners[k]))
+    return r, jnp.sqrt(dot(r, r) + TINY)
+
+
+def _by_size(near: Near, function: Callable[[_Pairs], Array], nothing: Array) -> Array:
+    """`function` of the shortest head of the list that holds all pairs."""
+    capacity = near.nodes.shape[0]
+    sizes = sorted({max(capacity // share, 1) for share in SIZES})
+
+    def head(size: int) -> Callable[[], Array]:
+        return lambda: function(
+            _Pairs(near.nodes[:size], near.weights[:size], near.strength[:size], near.owner[:size])
+        )
+
+    index = jnp.sum(near.site_count > jnp.asarray([0, *sizes[:-1]]))
+    return jax.lax.switch(index, [lambda: nothing, *map(head, sizes)])
+
+
+def build_contact(mesh: Mesh, constants: ModelConstants, options: SelfContact) -> Contact:
+    """Contact of a sheet; its stiffness is the mean spring constant.
+
+    **Raises:** ValueError for an unknown potential, a range that is not positive or a level below 0.
+    """
+    sigma = constants.sigma if options.range is None else options.range
+    if options.potential not in get_args(Potential):
+        known = ", ".join(get_args(Potential))
+        raise ValueError(f"contact potential {options.potential!r} is unknown; choose one of {known}.")
+    if not (np.isfinite(sigma) and sigma > 0):
+        raise ValueError(f"contact range = {sigma!r} m must be a positive length; leave it out for h_eff.")
+    barrier = options.potential == "barrier"
+    longest = float(mesh.edge_length.max())
+    # The largest triangle has a site per area of a lattice; a barrier needs all its sides covered.
+    widest = np.sqrt(float(mesh.face_area.max()) * 4.0 / np.sqrt(3.0))
+    parts = longest / (BARRIER_SPACING * sigma) if barrier else widest / (SPACING * sigma)
+    needed = max(int(np.ceil(parts)) - 1, 0)
+    level = needed if options.level is None else options.level
+    if level < 0:
+        raise ValueError(f"contact level = {level!r} must be 0 or more; leave it out for {needed}.")
+    core = CORE * longest / (level + 1)
+    if barrier and core > WIDEST_CORE * sigma:
+        raise ValueError(
+            f"contact level = {level} leaves sites too far apart for a barrier of range {sigma:.3g} m; "
+            f"choose level {needed} or leave it out."
+        )
+    sites, fans = build_sites(level), build_fans(mesh)
+    return Contact(
+        faces=jnp.asarray(mesh.faces, jnp.int32),
+        rest=jnp.asarray(mesh.vertices),
+        weights=jnp.asarray(sites.weights),
+        share=jnp.asarray(sites.share),
+        density=jnp.asarray(mesh.face_area / (np.sqrt(3.0) / 2.0 * sigma**2)),
+        stiffness=np.mean(constants.ks),
+        range=sigma,
+        core=as_float(core) if barrier else None,
+        stride=float(mesh.edge_length.mean()),
+        calm=0.5 * (CALM * float(mesh.hinge_height.min()) - sigma),
+        fans=fans,
+        candidates=no_candidates(mesh.n_nodes, len(fans.triangles)),
+        near=no_neighbors(mesh.n_nodes),
+    )

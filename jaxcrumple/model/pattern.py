@@ -8,6 +8,7 @@ import numpy as np
 from jax import Array
 
 from jaxcrumple.model.coarse import CoarseSpace, build_coarse_space
+from jaxcrumple.model.cross import Cross
 from jaxcrumple.model.stencil import upper_pairs
 
 
@@ -25,6 +26,7 @@ class Pattern(eqx.Module):
     - `neighbors` (n, k): block columns of each node's row, both triangles, padded with the node itself.
     - `row_entries` (n, 3, 3k): entry of each element of these blocks, `nnz` where there is none.
     - `coarse`: a smooth coarse space over the nodes, for two-level solvers.
+    - `contact`: blocks between triangles that touch, whose values follow the `nnz` own ones; or None.
     """
 
     indptr: Array
@@ -36,40 +38,60 @@ class Pattern(eqx.Module):
     neighbors: Array
     row_entries: Array
     coarse: CoarseSpace
+    contact: Cross | None = None
 
     @property
     def nnz(self) -> int:
-        """Stored entries."""
+        """Stored entries of the sheet itself."""
         return self.indices.shape[0]
 
-    def assemble(self, element_blocks: Sequence[Array], node_blocks: Array) -> Array:
-        """Values (nnz,) from element blocks (pairs, 3, 3, m), one per stencil, and node blocks (n, 3, 3)."""
+    @property
+    def size(self) -> int:
+        """Length of the vector of values: those of the sheet, then those of contact."""
+        return self.nnz + (0 if self.contact is None else self.contact.size)
+
+    def assemble(
+        self, element_blocks: Sequence[Array], node_blocks: Array, contact_blocks: Array | None = None
+    ) -> Array:
+        """Values (size,) from element blocks (pairs, 3, 3, m), one per stencil, node blocks (n, 3, 3), and
+        those of touching triangles (21, 3, 3, t)."""
         values = jnp.zeros(self.nnz, node_blocks.dtype)
         values = values.at[self.node_entries].add(node_blocks, mode="drop")
         for entries, blocks in zip(self.element_entries, element_blocks, strict=True):
             values = values.at[entries].add(blocks.reshape(-1), mode="drop")
-        return values
+        if self.contact is None or contact_blocks is None:
+            return values
+        return self.contact.assemble(values, contact_blocks)
 
     def product(self, values: Array, x: Array) -> Array:
         """Symmetric matrix times vector (3n,)."""
-        upper = jnp.zeros_like(x).at[self.rows].add(values * x[self.indices], indices_are_sorted=True)
-        strict = jnp.where(self.rows == self.indices, 0.0, values)
-        return upper.at[self.indices].add(strict * x[self.rows])
+        own = values[: self.nnz]
+        upper = jnp.zeros_like(x).at[self.rows].add(own * x[self.indices], indices_are_sorted=True)
+        strict = jnp.where(self.rows == self.indices, 0.0, own)
+        product = upper.at[self.indices].add(strict * x[self.rows])
+        return product + self.contact_product(values, x)
 
     def expand(self, values: Array) -> Array:
-        """Rows of 3x3 blocks (n, 3, 3k), both triangles: the form for repeated products."""
-        return values.at[self.row_entries].get(mode="fill", fill_value=0.0)
+        """Rows of 3x3 blocks (n, 3, 3k) of the sheet, both triangles: the form for repeated products."""
+        return values[: self.nnz].at[self.row_entries].get(mode="fill", fill_value=0.0)
 
     def expanded_product(self, rows: Array, x: Array) -> Array:
-        """Matrix in the form of `expand` times vector (3n,)."""
+        """The sheet's own matrix in the form of `expand` times vector (3n,)."""
         gathered = x.reshape(-1, 3)[self.neighbors].reshape(rows.shape[0], -1)
         return jnp.einsum("nas,ns->na", rows, gathered).reshape(-1)
 
+    def contact_product(self, values: Array, x: Array) -> Array | float:
+        """The blocks between touching triangles times vector (3n,); 0 without contact."""
+        return 0.0 if self.contact is None else self.contact.product(values[self.nnz :], x)
 
-def build_pattern(rest: np.ndarray, stencils: Sequence[np.ndarray]) -> Pattern:
+
+def build_pattern(
+    rest: np.ndarray, stencils: Sequence[np.ndarray], faces: np.ndarray | None = None
+) -> Pattern:
     """Pattern of a tangent whose elements couple the nodes of each row of `stencils` (m, k).
 
-    `rest` (n, 3): the nodes' rest positions in m, over which the coarse space is laid.
+    `rest` (n, 3): the nodes' rest positions in m, over which the coarse space is laid. `faces` (f, 3):
+    triangles that may touch; their edges must be among the stencils.
     """
     n = len(rest)
     pairs = [_global_pairs(stencil) for stencil in stencils]
@@ -77,7 +99,7 @@ def build_pattern(rest: np.ndarray, stencils: Sequence[np.ndarray]) -> Pattern:
     rows, cols = np.concatenate([own, *(p.reshape(-1, 2) for p in pairs)]).T
     keys = np.unique(np.minimum(rows, cols).astype(np.int64) * n + np.maximum(rows, cols))
     block_row, block_col = keys // n, keys % n
-    entries, counts = _scalar_entries(n, block_row, block_col)
+    entries, counts = scalar_entries(n, block_row, block_col)
     indptr = np.concatenate([[0], np.cumsum(counts)])
     order = np.repeat(np.arange(3 * n), counts)
     indices = _column_indices(entries, block_col, indptr[-1])
@@ -102,7 +124,17 @@ def build_pattern(rest: np.ndarray, stencils: Sequence[np.ndarray]) -> Pattern:
         device(indptr), device(indices), device(order), device(diagonal), device(node_entries),
         tuple(device(m) for m in maps), device(neighbors), device(row_entries),
         build_coarse_space(rest, np.stack([block_row, block_col], axis=1)),
+        None if faces is None else _no_contact(locate, np.asarray(faces)),
     )  # fmt: skip
+
+
+def _no_contact(locate, faces: np.ndarray) -> Cross:
+    """Contact of triangles none of which touches another."""
+    pairs = np.array(upper_pairs(3))
+    entries = locate(faces[:, pairs[:, 0]], faces[:, pairs[:, 1]])
+    none = jnp.zeros(1, jnp.int32)
+    two, six = jnp.zeros((1, 2), jnp.int32), jnp.zeros((1, 6), jnp.int32)
+    return Cross(jnp.asarray(entries.astype(np.int32)), two, six, none, jnp.asarray(0), None)
 
 
 def _global_pairs(stencil: np.ndarray) -> np.ndarray:
@@ -111,7 +143,7 @@ def _global_pairs(stencil: np.ndarray) -> np.ndarray:
     return np.stack([stencil[:, list(pair)] for pair in upper_pairs(stencil.shape[1])])
 
 
-def _scalar_entries(n: int, block_row: np.ndarray, block_col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def scalar_entries(n: int, block_row: np.ndarray, block_col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Entry number of each scalar of each upper block, and the number of entries of each scalar row."""
     blocks_in_row = np.bincount(block_row, minlength=n)
     first_block = np.concatenate([[0], np.cumsum(blocks_in_row)])[:-1]

@@ -11,10 +11,12 @@ from jaxcrumple.material import Material
 from jaxcrumple.mesh import Mesh
 from jaxcrumple.model.bending import Bending
 from jaxcrumple.model.confinement import AbstractShape, Wall
+from jaxcrumple.model.contact import Contact, SelfContact, build_contact
 from jaxcrumple.model.damping import AbstractDashpot, CentralDashpot, Drag, PaperDashpot
 from jaxcrumple.model.fields import is_known
 from jaxcrumple.model.loads import ElementEnergy, Gravity, Prescribed
 from jaxcrumple.model.membrane import Membrane
+from jaxcrumple.model.near import Near
 from jaxcrumple.model.pattern import Pattern, build_pattern
 from jaxcrumple.model.plasticity import AbstractFlowRule, SmoothstepFlow
 
@@ -29,7 +31,7 @@ class Scene(eqx.Module):
     - `mass` (n,) kg; `area` m2; `reference_acceleration` m/s2: $a_{ref} = k_s/(m\\lambda)$;
       `velocity_scale` m/s weighs velocities in the explicit stage's error test.
     - `membrane`, `bending`: always present. `plasticity`, `drag`, `damping`, `gravity`,
-      `prescribed`: or None. `walls`, `extra`: tuples, possibly empty.
+      `prescribed`, `contact`: or None. `walls`, `extra`: tuples, possibly empty.
     - `pattern`: where the tangent's entries are.
     """
 
@@ -46,6 +48,7 @@ class Scene(eqx.Module):
     gravity: Gravity | None
     prescribed: Prescribed | None
     extra: tuple[ElementEnergy, ...]
+    contact: Contact | None
     pattern: Pattern
 
     @property
@@ -70,6 +73,20 @@ class Scene(eqx.Module):
         return self.bending.rest_curvature if p is None else p
 
 
+def with_near(scene: Scene, near: Near) -> Scene:
+    """The scene with another list of interacting sites, and the tangent's pattern that goes with it."""
+    assert scene.contact is not None
+    nodes = scene.contact.faces[near.triangles].reshape(-1, 6)
+    return eqx.tree_at(
+        lambda s: (
+            s.contact.near, s.pattern.contact.triangles, s.pattern.contact.nodes, s.pattern.contact.candidate,
+            s.pattern.contact.count,
+        ),
+        scene,
+        (near, near.triangles, nodes, near.pairs, near.pair_count),
+    )  # fmt: skip
+
+
 def sheet(
     mesh: Mesh,
     material: Material,
@@ -80,6 +97,7 @@ def sheet(
     extra: Sequence[ElementEnergy] = (),
     plasticity: AbstractFlowRule | None = None,
     damping: str = "central",
+    contact: SelfContact | None = None,
 ) -> Scene:
     """Scene of one sheet.
 
@@ -92,6 +110,7 @@ def sheet(
     - `prescribed`, `extra`: supports and energies of your own.
     - `plasticity`: a flow rule of your own in place of the material's.
     - `damping`: "central" (default) or "paper" (eq. 25).
+    - `contact`: `SelfContact(...)`, or None for a phantom sheet, which passes through itself.
 
     **Returns:** a `Scene`. **Raises:** ValueError when x64 is off, or for an unknown option, a wall that is
     none, a gravity that is not three finite numbers or a mask of another shape.
@@ -134,7 +153,8 @@ def sheet(
         gravity=None if gravity is None else Gravity(jnp.asarray(gravity, float), mass),
         prescribed=prescribed,
         extra=tuple(extra),
-        pattern=build_pattern(mesh.vertices, stencils),
+        contact=None if contact is None else build_contact(mesh, constants, contact),
+        pattern=build_pattern(mesh.vertices, stencils, None if contact is None else mesh.faces),
     )
 
 

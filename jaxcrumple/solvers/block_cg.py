@@ -43,7 +43,7 @@ class BlockCG(AbstractLinearSolver):
         """Conjugate gradients; `indefinite` is set when a direction of negative curvature appears."""
         rows = pattern.expand(values)
         return conjugate_gradients(
-            lambda d: pattern.expanded_product(rows, d),
+            lambda d: pattern.expanded_product(rows, d) + pattern.contact_product(values, d),
             lambda r: apply_blocks(factor.workspace, r),
             factor,
             rhs,
@@ -65,7 +65,7 @@ def block_factors(pattern: Pattern, values: Array, size: int) -> tuple[Array, Ar
     """
     total = pattern.diagonal.shape[0]
     count = -(-total // size)
-    row, col = pattern.rows, pattern.indices
+    row, col, values = pattern.rows, pattern.indices, values[: pattern.nnz]
     block = row // size
     inside = block == col // size
     # Entries outside the blocks are sent out of bounds and dropped.

@@ -34,7 +34,7 @@ class Direct(AbstractLinearSolver):
         from pardiso_mkl_jax import primitive
 
         values = _unbatched(identity_values(pattern))
-        token, _ = primitive.analyze(pattern.indptr, pattern.indices, values, matrix_type=_kind())
+        token, _ = primitive.analyze(*_matrix(pattern, values), matrix_type=_kind())
         return Factor(values, token, jnp.asarray(0))
 
     def factor(self, pattern: Pattern, values: Array, previous: Factor) -> Factor:
@@ -44,9 +44,7 @@ class Direct(AbstractLinearSolver):
         values = _unbatched(values)
         finite = jnp.all(jnp.isfinite(values))
         safe = jnp.where(finite, values, identity_values(pattern))
-        token, report = primitive.factor(
-            previous.workspace, pattern.indptr, pattern.indices, safe, matrix_type=_kind()
-        )
+        token, report = primitive.factor(previous.workspace, *_matrix(pattern, safe), matrix_type=_kind())
         # report[22] is PARDISO's count of negative eigenvalues (iparm(23)).
         negative = jnp.where(finite, report[22], 1).astype(int)
         return Factor(safe, token, negative)
@@ -84,13 +82,22 @@ def _substitute(pattern: Pattern, factor: Factor, rhs: Array) -> Array:
 
     x, _, _ = primitive.solve_stateful(
         factor.workspace,
-        pattern.indptr,
-        pattern.indices,
-        factor.values,
+        *_matrix(pattern, factor.values),
         _unbatched(rhs)[None],
         matrix_type=_kind(),
     )
     return x[0]
+
+
+def _matrix(pattern: Pattern, values: Array) -> tuple[Array, Array, Array]:
+    """Row pointers, column indices and values of the upper triangle, contact included."""
+    contact = pattern.contact
+    if contact is None:
+        return pattern.indptr, pattern.indices, values
+    if contact.merged is None:
+        return pattern.indptr, pattern.indices, values[: pattern.nnz]
+    merged = contact.merge(values[: pattern.nnz], values[pattern.nnz :])
+    return contact.merged.indptr, contact.merged.indices, merged
 
 
 @jax.custom_batching.custom_vmap

@@ -14,6 +14,7 @@ from jaxcrumple.model.bending import stop_derivatives
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.geometry import gather, hinge_gradient, length, outer, sub
 from jaxcrumple.model.scene import Scene
+from jaxcrumple.solvers.lists import passes
 from jaxcrumple.system import CAUSES, State, rates
 
 # Stability of the method on the imaginary axis (2.83) and on the negative real axis (2.79).
@@ -126,6 +127,8 @@ def _stiffness_bound(scene: Scene, x: Array) -> Array:
         bound = bound.at[scene.bending.nodes[:, k]].add(jnp.moveaxis(block, -1, 0))
     for wall in scene.walls:
         bound = bound + 2.0 * wall.stiffness[:, None, None] * jnp.eye(3)
+    if scene.contact is not None:
+        bound = bound + scene.contact.stiffness_bound(x)[:, None, None] * jnp.eye(3)
     return bound
 
 
@@ -173,11 +176,14 @@ def attempt(
         state.t, t1, y0, y1, scene, error, ERROR_ORDER, memory
     )
     next_h = jnp.where(finite, next_t1 - next_t0, 0.25 * h)
-    cause = jnp.where(finite, CAUSES.index("error"), CAUSES.index("nonfinite"))
-    cause = jnp.where(keep & finite, -1, cause)
     x, v, p = y1
     if scene.prescribed is not None:
         x, v = scene.prescribed.position(x, t1), scene.prescribed.velocity(v, t1)
+    good = keep & finite
+    stopped = good & passes(scene, state, x, t1)
+    next_h = jnp.where(stopped, 0.4 * h, next_h)
+    cause = jnp.where(finite, CAUSES.index("error"), CAUSES.index("nonfinite"))
+    cause = jnp.where(good, jnp.where(stopped, CAUSES.index("contact"), -1), cause)
     # The stage handed on is the derivative at the new point: the acceleration comes for free.
     _, (_, acceleration, _) = stages
     units = _error_norm(scene, options, error)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxcrumple.model.scene import Scene
+from jaxcrumple.solvers.lists import passes
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
 from jaxcrumple.solvers.newton import NewtonSolution
 from jaxcrumple.system import CAUSES, IMPLICIT, State
@@ -59,6 +60,10 @@ class AbstractImplicit(eqx.Module):
     linear: eqx.AbstractVar[AbstractLinearSolver]
 
     @abc.abstractmethod
+    def predict(self, scene: Scene, state: State, h: Array) -> Array:
+        """Positions (n, 3) after a step of size `h` s as the history tells."""
+
+    @abc.abstractmethod
     def attempt(self, scene: Scene, state: State, h: Array, factor: Factor) -> Attempt:
         """Try a step of size `h` s in the state's stage."""
 
@@ -68,8 +73,8 @@ def aligns(state: State) -> Array:
     return (state.history.count == 0) & (state.stage != IMPLICIT)
 
 
-def judge(scene: Scene, state: State, solution: NewtonSolution, x: Array, error: Array) -> Array:
-    """Index into `CAUSES` of what forbids the step to `x`, or -1."""
+def judge(scene: Scene, state: State, solution: NewtonSolution, x: Array, t: Array, error: Array) -> Array:
+    """Index into `CAUSES` of what forbids the step to `x` at time `t`, or -1."""
     before = scene.bending.hinges(state.x).theta
     after = scene.bending.hinges(x).theta
     finite = jnp.all(jnp.isfinite(x)) & jnp.isfinite(error)
@@ -80,6 +85,7 @@ def judge(scene: Scene, state: State, solution: NewtonSolution, x: Array, error:
         "newton": ~solution.converged,
         "fold": flipped,
         "error": error > 1.0,
+        "contact": passes(scene, state, x, t),
     }
     cause = jnp.asarray(-1)
     for name in reversed(checks):

@@ -9,11 +9,13 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from jaxcrumple.model.fields import as_float
+from jaxcrumple.model.near import Near
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers import explicit
 from jaxcrumple.solvers.bdf import push
 from jaxcrumple.solvers.implicit import Attempt, aligns
 from jaxcrumple.solvers.linear import Factor
+from jaxcrumple.solvers.lists import largest_move, listed, prepare, start_lists, waits
 from jaxcrumple.solvers.log import AFTER, BEFORE, STEP, Log, Row, append, empty_log
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.solvers.switch import fresh_monitor, has_settled, observe, wants_inertia
@@ -48,12 +50,15 @@ BREAK_EVEN = 10
 SPELL = 200
 # Steps of a stage from one measurement of the stability limit to the next: it follows the folding.
 LIMIT_EVERY = 32
+# Lists of contact are made to hold for this many explicit steps.
+LOOK_AHEAD = 32
 # Relative to the time, a step below this is lost to rounding.
 SMALLEST_STEP = 1e-13
 
 
 class _Carry(NamedTuple):
     state: State
+    near: Near | None
     log: Log
     factor: Factor | None
     spent: Array
@@ -73,14 +78,17 @@ def integrate(
 
     **Returns:** the new `State` and the `Log` of this call.
     """
-    state = _with_result(state, ~_is_sound(scene, state), RESULTS.nonfinite)
+    state, near = start_lists(scene, state)
+    scene = listed(scene, near)
+    unsound = ~_is_sound(scene, state) & ~waits(state)
+    state = _with_result(state, unsound, RESULTS.nonfinite)
     start_h = jnp.where(state.h > 0, state.h, jnp.minimum(solver.first_step, solver.max_step))
     known = jnp.any(state.stage == jnp.asarray(solver.stages))
     stage = jnp.where(known, state.stage, solver.stages[0])
     state = eqx.tree_at(lambda s: (s.h, s.stage), state, (start_h, stage))
     factor = None if solver.implicit is None else solver.implicit.linear.start(scene.pattern)
     left, log = as_float(max_attempts), empty_log(LOG_CAPACITY)
-    carry = _Carry(state, log, factor, jnp.asarray(0), left, state.t >= t_stop)
+    carry = _Carry(state, near, log, factor, jnp.asarray(0), left, state.t >= t_stop)
 
     def stages(carry: _Carry) -> _Carry:
         if solver.implicit is not None:
@@ -105,13 +113,13 @@ def _is_sound(scene: Scene, state: State) -> Array:
 
 def _going(carry: _Carry) -> Array:
     room = carry.log.length < LOG_CAPACITY - 4
-    sound = carry.state.result == RESULTS.success
+    sound = (carry.state.result == RESULTS.success) & ~waits(carry.state)
     return ~carry.done & room & sound & (carry.spent < BUDGET) & (carry.left > 0)
 
 
 def _tried(carry: _Carry, state: State, log: Log, factor, cost: int, done: Array) -> _Carry:
     """The loop after another attempt."""
-    return _Carry(state, log, factor, carry.spent + cost, carry.left - 1.0, done)
+    return _Carry(state, carry.near, log, factor, carry.spent + cost, carry.left - 1.0, done)
 
 
 def _clip_step(t: Array, h: Array, t_stop: Array) -> tuple[Array, Array]:
@@ -158,13 +166,32 @@ def _with_limit(scene: Scene, state: State) -> State:
 
 
 def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
+    assert solver.implicit is not None
+    scene = listed(scene, carry.near)
     state = _with_limit(scene, carry.state)
-    assert solver.implicit is not None and carry.factor is not None
     wanted = jnp.minimum(state.h, solver.max_step)
     # The step that aligns the velocity with the forces is as short as an explicit one.
     aligning = aligns(state)
     wanted = jnp.where(aligning, jnp.minimum(wanted, state.limit), wanted)
+    if scene.contact is not None:
+        ahead = solver.implicit.predict(scene, state, wanted)
+        wanted = wanted * largest_move(scene, state.x, ahead)
     h, lands = _clip_step(state.t, wanted, t_stop)
+    carry = carry._replace(state=state)
+    if scene.contact is None:
+        return _implicit_attempt(scene, carry, t_stop, solver, wanted, h, lands)
+    ready = prepare(scene, state, carry.near, solver.implicit.predict(scene, state, h))
+    carry = carry._replace(near=ready.near, state=eqx.tree_at(lambda s: s.listing, state, ready.listing))
+
+    def attempt() -> _Carry:
+        return _implicit_attempt(ready.scene, carry, t_stop, solver, wanted, h, lands)
+
+    return jax.lax.cond(ready.ready, attempt, lambda: carry)
+
+
+def _implicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted, h, lands) -> _Carry:
+    assert solver.implicit is not None and carry.factor is not None
+    state, aligning = carry.state, aligns(carry.state)
     tried = solver.implicit.attempt(scene, state, h, carry.factor)
     moved = _moved(scene, state, tried, h, jnp.where(lands, t_stop, state.t + h), solver)
     suggested = tried.next_h
@@ -220,7 +247,7 @@ def _change_stage(scene: Scene, state: State, log: Log, tried: Attempt, solver: 
         up = asked | (rejected & short)
         state, log = _maybe_switch(scene, state, log, up, EXPLICIT, h_explicit)
     lost = rejected & (state.stage != EXPLICIT) & (state.h < SMALLEST_STEP * jnp.maximum(state.t, 1.0))
-    return _with_result(state, lost, RESULTS.collapsed), log
+    return _given_up(state, lost, tried.cause), log
 
 
 def _count(counters: Counters, stage, accepted, cause, newton=0, linear=0, factors=0) -> Counters:
@@ -262,6 +289,13 @@ def _switched(state: State, stage: int, h: Array) -> State:
     return eqx.tree_at(lambda s: (s.h, s.history), state, (h, history))
 
 
+def _given_up(state: State, lost: Array, cause: Array) -> State:
+    """The state with the result of a run that no step leads on."""
+    blocked = cause == CAUSES.index("contact")
+    state = _with_result(state, lost & blocked, RESULTS.blocked)
+    return _with_result(state, lost & ~blocked, RESULTS.collapsed)
+
+
 def _with_result(state: State, failed: Array, result: Any) -> State:
     return eqx.tree_at(lambda s: s.result, state, RESULTS.where(failed, result, state.result))
 
@@ -269,7 +303,7 @@ def _with_result(state: State, failed: Array, result: Any) -> State:
 def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
     """Run the explicit stage for as long as it lasts."""
     assert solver.explicit is not None
-    stages = explicit.first_stages(scene, carry.state)
+    stages = explicit.first_stages(listed(scene, carry.near), carry.state)
 
     def unfinished(loop) -> Array:
         carry, *_ = loop
@@ -285,10 +319,31 @@ def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrat
 
 def _explicit_step(scene: Scene, carry: _Carry, t_stop, solver: Integrator, stages, fresh):
     assert solver.explicit is not None
+    scene = listed(scene, carry.near)
     state = _with_limit(scene, carry.state)
     cap = solver.explicit.safety * state.limit
     started = state.h_explicit > 0
     wanted = jnp.minimum(jnp.where(started, jnp.minimum(state.h_explicit, cap), cap), solver.max_step)
+    if scene.contact is not None:
+        wanted = wanted * largest_move(scene, state.x, state.x + wanted * state.v)
+    carry = carry._replace(state=state)
+    if scene.contact is None:
+        return _explicit_attempt(scene, carry, t_stop, solver, wanted, stages, fresh)
+    ahead = state.x + LOOK_AHEAD * wanted * state.v
+    ahead = state.x + largest_move(scene, state.x, ahead) * (ahead - state.x)
+    ready = prepare(scene, state, carry.near, ahead)
+    carry = carry._replace(near=ready.near, state=eqx.tree_at(lambda s: s.listing, state, ready.listing))
+
+    def attempt():
+        return _explicit_attempt(ready.scene, carry, t_stop, solver, wanted, stages, fresh)
+
+    return jax.lax.cond(ready.ready, attempt, lambda: (carry, stages, jnp.asarray(False)))
+
+
+def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted, stages, fresh):
+    assert solver.explicit is not None
+    state = carry.state
+    cap = solver.explicit.safety * state.limit
     h, lands = _clip_step(state.t, wanted, t_stop)
     tried = explicit.attempt(scene, state, h, cap, stages, fresh, solver.explicit)
     stages = _select(tried.accepted, tried.stages, stages)
@@ -308,7 +363,7 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop, solver: Integrator, stag
     counters = _count(state.counters, EXPLICIT, tried.accepted, tried.cause)
     moved = eqx.tree_at(lambda s: s.counters, moved, counters)
     lost = ~tried.accepted & (next_h < SMALLEST_STEP * jnp.maximum(state.t, 1.0))
-    moved = _with_result(moved, lost, RESULTS.collapsed)
+    moved = _given_up(moved, lost, tried.cause)
     sampled = tried.accepted & (counters.steps[EXPLICIT] % EXPLICIT_LOG_EVERY == 0)
     log = jax.lax.cond(
         sampled, lambda: append(carry.log, _row(scene, moved, STEP, h, 4, tried.error)), lambda: carry.log

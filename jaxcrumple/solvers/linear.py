@@ -16,7 +16,7 @@ from jaxcrumple.model.pattern import Pattern
 
 
 class Factor(NamedTuple):
-    """A prepared matrix: its `values` (nnz,), a solver's own `workspace`, `negative` eigenvalues."""
+    """A prepared matrix: its `values` (size,), a solver's own `workspace`, `negative` eigenvalues."""
 
     values: Array
     workspace: Any
@@ -61,4 +61,4 @@ class AbstractLinearSolver(eqx.Module):
 
 def identity_values(pattern: Pattern) -> Array:
     """Values of the identity matrix."""
-    return jnp.zeros(pattern.nnz).at[pattern.diagonal].set(1.0)
+    return jnp.zeros(pattern.size).at[pattern.diagonal].set(1.0)

@@ -20,6 +20,7 @@ class Row(NamedTuple):
     acceleration_mean: Array
     stretch: Array
     bending: Array
+    contact: Array
     confinement: Array
     gravity: Array
     extra: Array

@@ -29,16 +29,19 @@ class BDFPair(AbstractImplicit):
     newton_share: Array = eqx.field(default=0.05, converter=as_float)
     max_iterations: int = eqx.field(static=True, default=8)
 
+    def predict(self, scene: Scene, state: State, h: Array) -> Array:
+        """Positions (n, 3) after a step of size `h` s as the history tells."""
+        history = state.history
+        points = jnp.clip(history.count, 1, PREDICTOR_POINTS)
+        guess = jnp.tensordot(extrapolation(h, history.steps, points), history.x, 1)
+        return guess if scene.prescribed is None else scene.prescribed.position(guess, state.t + h)
+
     def attempt(self, scene: Scene, state: State, h: Array, factor: Factor) -> Attempt:
         """Try a step of size `h` s."""
         history = state.history
         order = jnp.clip(history.count, 1, ORDER)
         step = _equations(scene, state, h, order)
-        points = jnp.clip(history.count, 1, PREDICTOR_POINTS)
-        guess = jnp.tensordot(extrapolation(h, history.steps, points), history.x, 1)
-        if scene.prescribed is not None:
-            guess = scene.prescribed.position(guess, step.t)
-        solution = self._newton(scene, step, guess, factor)
+        solution = self._newton(scene, step, self.predict(scene, state, h), factor)
         x, v = solution.x, step.velocity(solution.x)
         _, p = residual(scene, step, x)
         lower = _equations(scene, state, h, jnp.maximum(order - 1, 1))
@@ -49,7 +52,7 @@ class BDFPair(AbstractImplicit):
             converged=solution.converged & second.converged,
             indefinite=solution.indefinite | second.indefinite,
         )
-        cause = judge(scene, state, both, x, error)
+        cause = judge(scene, state, both, x, state.t + h, error)
         next_h = resized(h, order, error, cause, jnp.maximum(order - 1, 1))
         return Attempt(
             x, v, p, (v - state.v) / h, error, cause, order, next_h, history.order, second.factor,

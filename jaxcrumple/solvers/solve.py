@@ -15,7 +15,7 @@ SLACK = 10.0
 def linear_solve(
     solver: str | AbstractLinearSolver, pattern: Pattern, values: Array, rhs: Array, rtol: float = 1e-10
 ) -> Array:
-    """Solution (3n,) of A x = `rhs`, differentiable with respect to `values` (nnz,) and `rhs`.
+    """Solution (3n,) of A x = `rhs`, differentiable with respect to `values` (size,) and `rhs`.
 
     The derivatives, forward and reverse, follow from the implicit function theorem, dA x + A dx = db,
     and are solved with the same factor to the same `rtol`. A sheet about to buckle has an indefinite matrix:
@@ -23,16 +23,16 @@ def linear_solve(
     and above what rounding explains, the solution is NaN.
 
     **Arguments:** `solver`: its name ("auto", "direct", "two-level", "block-cg") or itself; `pattern`: that
-    of a scene; `values` (nnz,) of the upper triangle in N/m, as `elastic_tangent` returns them; `rhs` (3n,)
+    of a scene; `values` (size,) of the upper triangle in N/m, as `elastic_tangent` returns them; `rhs` (3n,)
     in N.
 
     **Raises:** ValueError for an unknown solver, or arrays that do not fit the pattern.
     """
     solver = choose_linear_solver(solver)
     size = pattern.diagonal.shape
-    if values.shape != (pattern.nnz,) or rhs.shape != size:
+    if values.shape != (pattern.size,) or rhs.shape != size:
         raise ValueError(
-            f"values {values.shape} and rhs {rhs.shape} do not fit the pattern: ({pattern.nnz},) and {size}."
+            f"values {values.shape} and rhs {rhs.shape} do not fit the pattern: ({pattern.size},) and {size}."
         )
     factor = solver.factor(pattern, jax.lax.stop_gradient(values), solver.start(pattern))
 

@@ -82,7 +82,12 @@ class TwoLevel(AbstractLinearSolver):
             return size * both.astype(r.dtype)
 
         return conjugate_gradients(
-            lambda d: pattern.expanded_product(rows, d), precondition, factor, rhs, rtol, self.max_iterations
+            lambda d: pattern.expanded_product(rows, d) + pattern.contact_product(values, d),
+            precondition,
+            factor,
+            rhs,
+            rtol,
+            self.max_iterations,
         )
 
 

@@ -61,6 +61,10 @@ class VariableOrder(AbstractImplicit):
         formula = self._formula(scene, state, h)
         return formula.step, _start(formula, state, _predicted(scene, state, h, formula.orders.used))
 
+    def predict(self, scene: Scene, state: State, h: Array) -> Array:
+        """Positions (n, 3) after a step of size `h` s as the history tells."""
+        return _predicted(scene, state, h, self._orders(scene, state, h).used)
+
     def attempt(self, scene: Scene, state: State, h: Array, factor: Factor) -> Attempt:
         """Try a step of size `h` s in the state's stage."""
         formula = self._formula(scene, state, h)
@@ -75,7 +79,7 @@ class VariableOrder(AbstractImplicit):
         p = None if mean_p is None or state.p is None else _whole(theta, mean_p, state.p)
         change = self._filtered(scene, state, step, x - predicted, solution.factor)
         errors = self._errors(scene, state, h, formula, x, p, change)
-        cause = judge(scene, state, solution, x, errors[1])
+        cause = judge(scene, state, solution, x, state.t + h, errors[1])
         next_h, next_order = self._next(h, order, errors, cause)
         acceleration = jnp.where(state.stage == IMPLICIT, step.acceleration(mean_v), (v - state.v) / h)
         return Attempt(

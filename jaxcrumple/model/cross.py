@@ -1,0 +1,102 @@
+"""The part of the tangent that contact adds: 3x3 blocks between the nodes of two triangles that touch.
+
+It comes and goes, so it is kept beside the sheet's own pattern, as a list of pairs of triangles. The blocks of a
+triangle's own nodes have a place in the sheet's pattern already. A direct solver needs all in one matrix,
+whose structure `Merger` makes on the host for a list of candidates.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import scipy.sparse as sparse
+from jax import Array
+
+from jaxcrumple.model.stencil import upper_pairs
+
+# Node pairs of two triangles, as `Contact.blocks` orders them: within a triangle, and from one to the other.
+LOCAL = np.array(upper_pairs(6))
+OWN = [np.flatnonzero(np.all(LOCAL // 3 == side, axis=1)) for side in range(2)]
+CROSS = np.flatnonzero(LOCAL[:, 0] // 3 < LOCAL[:, 1] // 3)
+# Numbers that a pair of triangles adds to the tangent's values.
+SIZE = 9 * len(CROSS)
+
+
+class Merged(eqx.Module):
+    """Sheet and contact in one matrix of compressed sparse rows.
+
+    `indptr` (3n+1,), `indices` (room,), of which those beyond the last row are never read; `place` (nnz,) of the
+    sheet's own entries; `cross` (c, 81): entries of the blocks of each candidate, room where dropped.
+    """
+
+    indptr: Array
+    indices: Array
+    place: Array
+    cross: Array
+
+
+class Cross(eqx.Module):
+    """Blocks between touching triangles.
+
+    - `face_entries` (f, 6, 3, 3): the pattern's entries of the blocks of a triangle's own nodes.
+    - `triangles` (t, 2), `nodes` (t, 6); `candidate` (t,): place among the candidates; the first `count` valid.
+    - `merged`: the whole matrix, or None where no direct solver needs it.
+    """
+
+    face_entries: Array
+    triangles: Array
+    nodes: Array
+    candidate: Array
+    count: Array
+    merged: Merged | None
+
+    @property
+    def size(self) -> int:
+        """Numbers that contact adds to the tangent's values."""
+        return SIZE * self.triangles.shape[0]
+
+    def assemble(self, values: Array, blocks: Array) -> Array:
+        """Values (nnz,) of the sheet with those of `blocks` (21, 3, 3, t) added and appended."""
+        valid = jnp.arange(self.triangles.shape[0]) < self.count
+        blocks = jnp.where(valid, blocks, 0.0)
+        for side in range(2):
+            entries = jnp.moveaxis(self.face_entries[self.triangles[:, side]], 0, -1)
+            values = values.at[entries].add(blocks[OWN[side]], mode="drop")
+        return jnp.concatenate([values, jnp.moveaxis(blocks[CROSS], -1, 0).reshape(-1)])
+
+    def product(self, appended: Array, x: Array) -> Array:
+        """Appended values (81 t,) times vector (3n,)."""
+        blocks = appended.reshape(-1, 3, 3, 3, 3)
+        points = x.reshape(-1, 3)
+        one, two = self.nodes[:, :3], self.nodes[:, 3:]
+        first = jnp.einsum("tijab,tjb->tia", blocks, points[two])
+        second = jnp.einsum("tijab,tia->tjb", blocks, points[one])
+        result = jnp.zeros_like(points).at[one].add(first).at[two].add(second)
+        return result.reshape(-1)
+
+    def free(self, appended: Array, mask: Array) -> Array:
+        """Appended values with rows and columns of components in `mask` (n, 3) set to zero."""
+        one, two = mask[self.nodes[:, :3]], mask[self.nodes[:, 3:]]
+        fixed = one[:, :, None, :, None] | two[:, None, :, None, :]
+        return jnp.where(fixed, 0.0, appended.reshape(-1, 3, 3, 3, 3)).reshape(-1)
+
+    def upper(self, appended: np.ndarray, size: int) -> sparse.csr_array:
+        """Appended values as the upper triangle of a matrix (size, size)."""
+        nodes = np.asarray(self.nodes)
+        row = np.broadcast_to(
+            3 * nodes[:, :3, None, None, None] + np.arange(3)[:, None], (len(nodes), 3, 3, 3, 3)
+        ).reshape(-1)
+        column = np.broadcast_to(
+            3 * nodes[:, None, 3:, None, None] + np.arange(3), (len(nodes), 3, 3, 3, 3)
+        ).reshape(-1)
+        matrix = sparse.csr_array((appended, (row, column)), shape=(size, size))
+        return sparse.csr_array(sparse.triu(matrix + matrix.T))
+
+    def merge(self, own: Array, appended: Array) -> Array:
+        """Values of the merged matrix (room,)."""
+        assert self.merged is not None
+        twice = self.nodes[:, :3, None] == self.nodes[:, None, 3:]
+        # A node that both triangles have is met from both sides.
+        blocks = appended.reshape(-1, 3, 3, 3, 3) * jnp.where(twice, 2.0, 1.0)[..., None, None]
+        values = jnp.zeros(self.merged.indices.shape[0], own.dtype).at[self.merged.place].set(own)
+        entries = self.merged.cross[self.candidate]
+        return values.at[entries].add(blocks.reshape(-1, SIZE), mode="drop")

@@ -1,0 +1,93 @@
+"""No tunnelling: conservative advancement along a step (Zhang et al., ACM TOG 25, 2006; Li et al., 2021)."""
+
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxcrumple.model.distance import primitive_distances, shared_parts
+from jaxcrumple.model.geometry import Vec, add, dot, gather, scale, sub
+from jaxcrumple.model.near import motion
+
+if TYPE_CHECKING:
+    from jaxcrumple.model.contact import Contact
+
+# Share of their distance (or of the range, if that is less) at which parts of the sheet count as touching; an
+# advance stops at half of it.
+TOUCHING = 0.1
+# Advances after which a pair that is still under way counts as touching.
+ADVANCES = 64
+
+
+def crosses(contact: "Contact", start: Array, end: Array) -> Array:
+    """Whether parts of the sheet might touch while nodes go straight from `start` to `end` (n, 3).
+
+    Never wrong where they do; the lists must hold for both. Of two triangles that share a node, the parts that
+    do not are looked at.
+    """
+    near = contact.near
+    first, second = contact.faces[near.triangles[:, 0]], contact.faces[near.triangles[:, 1]]
+    moved = jnp.maximum(motion(near.x, start), motion(near.x, end))
+    closest = near.distance - jnp.max(moved[first], axis=1) - jnp.max(moved[second], axis=1)
+    doubtful = (closest <= 0) & (jnp.arange(first.shape[0]) < near.pair_count)
+    parts = (gather(start, first), gather(start, second))
+    steps = (gather(end - start, first), gather(end - start, second))
+
+    def advance() -> Array:
+        return jnp.any(touches(parts, steps, shared_parts(first, second), contact.range, doubtful))
+
+    return jax.lax.cond(jnp.any(doubtful), advance, lambda: jnp.asarray(False))
+
+
+Corners = tuple[tuple[Vec, ...], tuple[Vec, ...]]
+
+
+def touches(corners: Corners, steps: Corners, shared: Array, range: Array, asked: Array) -> Array:
+    """Which (m,) of the pairs of triangles that are `asked` about might touch along `steps`.
+
+    `corners`, `steps`: three corners of the first and of the second triangle, and how they move; `shared`
+    (15, m): parts that do not count; `range`: distance in m above which nobody needs to stay apart.
+    """
+
+    def distance(t: Array) -> Array:
+        here = tuple(
+            tuple(add(p, scale(t, d)) for p, d in zip(points, moves, strict=True))
+            for points, moves in zip(corners, steps, strict=True)
+        )
+        return jnp.sqrt(jnp.min(jnp.where(shared, jnp.inf, primitive_distances(*here)), axis=0))
+
+    speed = _relative_motion(steps)
+    zero = jnp.zeros_like(speed)
+    start = distance(zero)
+    floor = TOUCHING * jnp.minimum(start, range)
+
+    def body(carry):
+        t, gap, count = carry
+        t = jnp.minimum(t + jnp.where(gap > floor, gap - 0.5 * floor, 0.0) / jnp.maximum(speed, 1e-300), 1.0)
+        return t, distance(t), count + 1
+
+    def under_way(t: Array, gap: Array) -> Array:
+        return asked & (t < 1.0) & (gap > floor)
+
+    def unfinished(carry) -> Array:
+        t, gap, count = carry
+        return jnp.any(under_way(t, gap)) & (count < ADVANCES)
+
+    t, gap, _ = jax.lax.while_loop(unfinished, body, (zero, start, jnp.asarray(0)))
+    return asked & ((gap <= floor) | (t < 1.0))
+
+
+def _relative_motion(steps: Corners) -> Array:
+    """How far (m,) the parts of two triangles can come closer in all, their common motion left out."""
+    everything = [*steps[0], *steps[1]]
+    mean = scale(1.0 / len(everything), _sum(everything))
+    lengths = [jnp.stack([jnp.sqrt(dot(r, r)) for r in (sub(d, mean) for d in side)]) for side in steps]
+    return jnp.max(lengths[0], axis=0) + jnp.max(lengths[1], axis=0)
+
+
+def _sum(vectors: list[Vec]) -> Vec:
+    total = vectors[0]
+    for vector in vectors[1:]:
+        total = add(total, vector)
+    return total

@@ -1,0 +1,94 @@
+"""Triangles that share a node, and the hinges that must fold for them to meet."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxcrumple.mesh import Mesh
+
+
+# Two sites on triangles that share a node come nearer than half of their distance at rest only if the sheet
+# between them turns by 120 degrees: a polygon's chord is at least its length times the cosine of half its turning
+# (Schur), and the rest is room for stretching. Folds are listed from LISTED_TURN on; those that are not
+# must not pass MOST_TURN, and a new list is due before.
+LISTED_TURN, DUE_TURN, MOST_TURN = np.deg2rad([80.0, 95.0, 115.0])
+
+
+class Fans(eqx.Module):
+    """Pairs of triangles at a node, by the way around the node from one to the other.
+
+    `triangles` (w, 2), first below second, of each way; `hinges` (w, k): those crossed, padded with the
+    number of hinges.
+    """
+
+    triangles: Array
+    hinges: Array
+
+    def turning(self, theta: Array) -> Array:
+        """By how much (w,) the sheet turns along each way where hinges have angles `theta` (h,)."""
+        angles = jnp.append(jnp.abs(theta), 0.0)
+        return sum((angles[self.hinges[:, k]] for k in range(self.hinges.shape[1])), jnp.zeros(()))
+
+
+def build_fans(mesh: Mesh) -> Fans:
+    """All ways of less than half a turn around every node, and those across an open side."""
+    corner_angle = _corner_angles(mesh)
+    hinge_of = _hinge_table(mesh)
+    pairs: list[tuple[int, int]] = []
+    crossed: list[tuple[int, ...]] = []
+    for fan, angles, closed in _fans(mesh, corner_angle):
+        turn = sum(angles)
+        for i in range(len(fan)):
+            for j in range(i + 1, len(fan)):
+                ways = [fan[i : j + 1]]
+                between = [sum(angles[i + 1 : j])]
+                if closed:
+                    ways.append((fan[j:] + fan[: i + 1]))
+                    between.append(turn - angles[i] - angles[j] - between[0])
+                for way, angle in zip(ways, between, strict=True):
+                    if angle < np.pi or not closed:
+                        pairs.append((min(fan[i], fan[j]), max(fan[i], fan[j])))
+                        crossed.append(tuple(hinge_of[a, b] for a, b in zip(way, way[1:], strict=False)))
+    width = max(map(len, crossed), default=1)
+    hinges = np.full((len(crossed), width), len(mesh.hinges))
+    for row, way in zip(hinges, crossed, strict=True):
+        row[: len(way)] = way
+    triangles = np.array(pairs, int).reshape(-1, 2)
+    return Fans(jnp.asarray(triangles, jnp.int32), jnp.asarray(hinges, jnp.int32))
+
+
+def _corner_angles(mesh: Mesh) -> np.ndarray:
+    """Angles (f, 3) of the triangles at rest."""
+    x = mesh.vertices[mesh.faces]
+    one, two = np.roll(x, -1, axis=1) - x, np.roll(x, 1, axis=1) - x
+    cosine = np.sum(one * two, axis=2) / (np.linalg.norm(one, axis=2) * np.linalg.norm(two, axis=2))
+    return np.arccos(np.clip(cosine, -1.0, 1.0))
+
+
+def _hinge_table(mesh: Mesh) -> dict[tuple[int, int], int]:
+    table = {}
+    for hinge, (a, b) in enumerate(mesh.hinge_faces.tolist()):
+        table[a, b] = table[b, a] = hinge
+    return table
+
+
+def _fans(mesh: Mesh, angles: np.ndarray):
+    """Triangles around each node in order, their angles there, and whether the last meets the first."""
+    # In a triangle (i, j, k) that is turned about i, the next one in the fan of i is that across (i, k).
+    following = [dict[int, tuple[int, int, float]]() for _ in range(mesh.n_nodes)]
+    for face, corners in enumerate(mesh.faces.tolist()):
+        for k in range(3):
+            node, right, left = corners[k], corners[(k + 1) % 3], corners[(k + 2) % 3]
+            following[node][right] = (left, face, angles[face, k])
+    for spokes in following:
+        starts = set(spokes) - {left for left, _, _ in spokes.values()}
+        spoke = first = min(starts or spokes)
+        fan, turned = [], []
+        while spoke in spokes:
+            spoke, face, angle = spokes[spoke]
+            fan.append(face)
+            turned.append(angle)
+            if spoke == first:
+                break
+        yield fan, turned, not starts

@@ -1,0 +1,44 @@
+"""The structure of sheet and contact in one matrix, renewed on the host with every list of candidates."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxcrumple.model.cross import SIZE, Merged
+from jaxcrumple.model.pattern import Pattern, scalar_entries
+
+
+class Merger:
+    """Merges pairs of triangles into one sheet's pattern."""
+
+    def __init__(self, pattern: Pattern, faces: np.ndarray):
+        self.n = len(pattern.diagonal) // 3
+        self.nnz = pattern.nnz
+        self.faces = np.asarray(faces, np.int64)
+        row, column = np.asarray(pattern.rows, np.int64) // 3, np.asarray(pattern.indices, np.int64) // 3
+        self.keys = np.unique(row * self.n + column)
+        entries, _ = scalar_entries(self.n, self.keys // self.n, self.keys % self.n)
+        self.upper = entries.reshape(-1) < self.nnz
+        # Blocks are numbered row by row, so a block's entries are not next to one another.
+        self.order = entries.reshape(-1)[self.upper]
+
+    def merge(self, triangles: np.ndarray, capacity: int) -> Merged:
+        """Structure with room for `capacity` pairs, the first of which are `triangles` (c, 2)."""
+        n, room = self.n, self.nnz + SIZE * capacity
+        nodes = self.faces[triangles]
+        a, b = np.broadcast_arrays(nodes[:, 0, :, None], nodes[:, 1, None, :])
+        wanted = np.minimum(a, b) * n + np.maximum(a, b)
+        keys = np.union1d(self.keys, wanted)
+        row, column = keys // n, keys % n
+        entries, counts = scalar_entries(n, row, column)
+        nnz = int(counts.sum())
+        entries[entries == nnz] = room
+        place = np.empty(self.nnz, np.int32)
+        place[self.order] = entries[np.searchsorted(keys, self.keys)].reshape(-1)[self.upper]
+        indices = np.zeros(room + 1, np.int32)
+        indices[entries] = 3 * column[:, None, None] + np.arange(3)
+        found = entries[np.searchsorted(keys, wanted)]
+        found = np.where((a > b)[..., None, None], np.swapaxes(found, -1, -2), found)
+        cross = np.full((capacity, SIZE), room, np.int32)
+        cross[: len(nodes)] = found.reshape(-1, SIZE)
+        indptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+        return Merged(jnp.asarray(indptr), jnp.asarray(indices[:-1]), jnp.asarray(place), jnp.asarray(cross))

@@ -1,0 +1,93 @@
+"""Renewing the lists of contact on the host: the search for candidates, and room for more where lists are full."""
+
+import time
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from jaxcrumple.model.merger import Merger
+from jaxcrumple.model.near import Candidates, Near, Room, no_neighbors
+from jaxcrumple.model.scene import Scene
+from jaxcrumple.model.search import Search
+from jaxcrumple.system import Listing, State
+
+# First room of the lists: for each node, pairs of triangles that may meet, those near, sites there, and pairs.
+ROOM_PER_NODE = (0.5, 0.25, 4.0, 16.0)
+
+
+class Renewal:
+    """The lists of contact of one run.
+
+    **Arguments:** `scene` with contact; `merged`: whether a direct solver needs the tangent in one matrix.
+    `searches` and `seconds` count what was spent.
+    """
+
+    def __init__(self, scene: Scene, merged: bool):
+        contact = scene.contact
+        assert contact is not None and scene.pattern.contact is not None
+        self.search = Search(contact, np.asarray(scene.bending.nodes))
+        self.merger = Merger(scene.pattern, np.asarray(contact.faces)) if merged else None
+        rooms = [int(share * scene.n_nodes) for share in ROOM_PER_NODE]
+        self.candidates = max(rooms[0], contact.candidates.triangles.shape[0])
+        old = contact.near.room
+        self.room = Room(*(max(new, before) for new, before in zip(rooms[1:], old, strict=True)))
+        self.searches, self.seconds = 0, 0.0
+
+    def __call__(self, scene: Scene, state: State) -> tuple[Scene, State]:
+        """Scene and state for the next call of `integrate`, where the last one stopped for a list."""
+        listing = state.listing
+        assert listing is not None and scene.contact is not None
+        full = np.asarray(listing.overflow)
+        if not (bool(listing.stale) or full.any()):
+            return scene, state
+        start = time.perf_counter()
+        if full.any():
+            self.room = Room(*(2 * size if over else size for size, over in zip(self.room, full, strict=True)))
+            scene = _with_room(scene, self.room)
+        if bool(listing.stale):
+            scene = self._searched(scene, listing)
+        self.seconds += time.perf_counter() - start
+        no = jnp.asarray(False)
+        served = Listing(listing.x, listing.reach, no, jnp.broadcast_to(no, 3))
+        return scene, eqx.tree_at(lambda s: s.listing, state, served)
+
+    def first(self, scene: Scene, state: State) -> tuple[Scene, State]:
+        """Scene and state for the first call of `integrate`: a saved state finds the lists it had."""
+        stale = eqx.tree_at(lambda s: s.listing.stale, state, jnp.asarray(True))
+        return self(_with_room(scene, self.room), stale)
+
+    def _searched(self, scene: Scene, listing: Listing) -> Scene:
+        assert scene.contact is not None and scene.pattern.contact is not None
+        self.searches += 1
+        pairs, folded = self.search.find(np.asarray(listing.x), np.asarray(listing.reach))
+        while len(pairs) > self.candidates:
+            self.candidates *= 2
+        triangles = np.zeros((self.candidates, 2), np.int32)
+        triangles[: len(pairs)] = pairs
+        found = Candidates(
+            jnp.asarray(triangles), jnp.asarray(len(pairs)), listing.x, listing.reach, jnp.asarray(folded)
+        )
+        scene = eqx.tree_at(lambda s: s.contact.candidates, scene, found)
+        if self.merger is None:
+            return scene
+        merged = self.merger.merge(pairs, self.candidates)
+        return eqx.tree_at(
+            lambda s: s.pattern.contact.merged, scene, merged, is_leaf=lambda leaf: leaf is None
+        )
+
+
+def _with_room(scene: Scene, room: Room) -> Scene:
+    """The scene with empty lists of other sizes."""
+    near: Near = no_neighbors(scene.n_nodes, room)
+    cross = scene.pattern.contact
+    assert cross is not None
+    count = room.triangles
+    empty = (jnp.zeros((count, 2), jnp.int32), jnp.zeros((count, 6), jnp.int32), jnp.zeros(count, jnp.int32))
+    return eqx.tree_at(
+        lambda s: (
+            s.contact.near, s.pattern.contact.triangles, s.pattern.contact.nodes, s.pattern.contact.candidate
+        ),
+        scene,
+        (near, *empty),
+    )  # fmt: skip
