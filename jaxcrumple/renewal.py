@@ -13,7 +13,7 @@ from jaxcrumple.model.search import Search
 from jaxcrumple.system import Listing, State
 
 # First room of the lists: for each node, pairs of triangles that may meet, those near, sites there, and pairs.
-ROOM_PER_NODE = (0.5, 0.25, 4.0, 16.0)
+ROOM_PER_NODE = (2.0, 0.5, 8.0, 16.0)
 
 
 class Renewal:

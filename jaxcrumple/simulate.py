@@ -228,13 +228,16 @@ def _advance(
             rows.append(np.asarray(log.rows[: int(log.length)]))
         over = _name(state) != "success" or float(state.t) >= t_stop
         if over or time.perf_counter() - told > CHUNK:
-            _tell(watchers, state, np.concatenate(rows), frames)
+            _tell(watchers, state, np.concatenate([_NO_ROWS, *rows]), frames)
             rows, told = [], time.perf_counter()
         if over:
             break
         if renewal is not None:
             scene, state = renewal(scene, state)
     return scene, state
+
+
+_NO_ROWS = np.zeros((0, len(Row._fields)))
 
 
 def _tell(watchers, state: State, rows: np.ndarray, frames: int) -> None:
@@ -295,7 +298,6 @@ def _name(state: State) -> str:
 def _solution(state: State, record: _Record, compile_s: float, run_s: float) -> Solution:
     name = _name(state)
     shape = state.x.shape
-    empty_rows = np.zeros((0, len(Row._fields)))
     return Solution(
         state=state,
         result=name,
@@ -304,8 +306,8 @@ def _solution(state: State, record: _Record, compile_s: float, run_s: float) -> 
         x=np.array(record.x).reshape(-1, *shape),
         v=np.array(record.v).reshape(-1, *shape),
         p=None if state.p is None else np.array(record.p).reshape(-1, state.p.shape[0]),
-        history=_joined(record.history, history_table(empty_rows)),
-        events=_joined(record.events, events_table(empty_rows)),
+        history=_joined(record.history, history_table(_NO_ROWS)),
+        events=_joined(record.events, events_table(_NO_ROWS)),
         compile_s=compile_s,
         run_s=run_s,
     )

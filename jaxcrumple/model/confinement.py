@@ -1,9 +1,8 @@
 """Confinement by smooth rigid walls that may move.
 
-A wall is a shape, which measures the signed gap d between a point and itself, and one soft law:
-$U = k_w \\langle\\sigma - d\\rangle^3 / (3\\sigma)$. Its force along the inward normal,
-$k_w \\langle\\sigma - d\\rangle^2/\\sigma$, starts smoothly at $d = \\sigma$ and is $k_w \\sigma$ at the
-wall itself.
+A wall is a shape, which measures the signed gap d between a point and itself, and one law: with
+$s = \\langle 1 - d/\\sigma\\rangle$, $U = k_w \\sigma^2 s^3 / (3 (1 - s))$. Its force along the inward normal
+starts smoothly at $d = \\sigma$, as $k_w \\sigma s^2$, and grows without bound towards the wall.
 """
 
 import abc
@@ -17,8 +16,17 @@ from jax.typing import ArrayLike
 
 from jaxcrumple.model.fields import as_float
 
+# Nearness s from which the law goes on as its Taylor polynomial of second order: so Newton's iterates may lie behind
+# the wall and come back. There a node is pushed with 832 k_w sigma; steps that end behind are rejected.
+NEAREST = 0.98
 # Guards the distance to a centre or an axis, m^2: far below any length that matters here.
 TINY = 1e-30
+
+
+NEAREST_SLOPE = NEAREST**2 * (3.0 - 2.0 * NEAREST) / (3.0 * (1.0 - NEAREST) ** 2)
+NEAREST_CURVATURE = 2.0 * (1.0 / (1.0 - NEAREST) ** 3 - 1.0) / 3.0
+# Room for motion, in ranges, that a bound of the stiffness leaves.
+CLOSER = 0.05
 
 
 class Ramp(eqx.Module):
@@ -109,6 +117,14 @@ class Cone(AbstractShape):
         return (along - self.height(t)) * jnp.sin(self.half_angle) - distance * jnp.cos(self.half_angle)
 
 
+def wall_law(nearness: Array) -> Array:
+    """$s^3 / (3 (1 - s))$ of the `nearness` s >= 0, and its Taylor polynomial beyond `NEAREST`."""
+    s = jnp.minimum(nearness, NEAREST)
+    law = s**3 / (3.0 * (1.0 - s))
+    beyond = nearness - s
+    return law + beyond * (NEAREST_SLOPE + 0.5 * beyond * NEAREST_CURVATURE)
+
+
 class Wall(eqx.Module):
     """A shape and its stiffness.
 
@@ -128,8 +144,8 @@ class Wall(eqx.Module):
         return jax.vmap(self._energy, (0, 0, None))(x, self.stiffness, t)
 
     def _energy(self, point: Array, stiffness: Array, t: Array) -> Array:
-        overlap = jnp.maximum(self.range - self.shape.gap(point, t), 0.0)
-        return stiffness * overlap**3 / (3.0 * self.range)
+        nearness = jnp.maximum(1.0 - self.shape.gap(point, t) / self.range, 0.0)
+        return stiffness * self.range**2 * wall_law(nearness)
 
     def energy(self, x: Array, t: Array) -> Array:
         """Energy in J at positions `x` (n, 3) and time `t`."""
@@ -142,6 +158,11 @@ class Wall(eqx.Module):
     def force(self, x: Array, t: Array) -> Array:
         """Nodal forces (n, 3) in N."""
         return -jax.vmap(jax.grad(self._energy), (0, 0, None))(x, self.stiffness, t)
+
+    def stiffness_bound(self, x: Array, t: Array) -> Array:
+        """Largest stiffness of each node (n,) in N/m, at `CLOSER` ranges nearer to the wall than `x`."""
+        nearness = jnp.maximum(1.0 - self.gap(x, t) / self.range + CLOSER, 0.0)
+        return self.stiffness * jax.vmap(jax.grad(jax.grad(wall_law)))(nearness)
 
     def blocks(self, x: Array, t: Array) -> Array:
         """Hessian of each node (n, 3, 3) in N/m."""

@@ -22,9 +22,8 @@ from jaxcrumple.mesh import Mesh
 from jaxcrumple.model.crossing import crosses
 from jaxcrumple.model.fans import Fans, build_fans
 from jaxcrumple.model.fields import as_float
-from jaxcrumple.model.geometry import Vec, add, dot, gather, outer, scale
 from jaxcrumple.model.near import Candidates, Near, no_candidates, no_neighbors
-from jaxcrumple.model.stencil import scatter, upper_pairs
+from jaxcrumple.model.stencil import upper_pairs
 
 Potential = Literal["penalty", "barrier"]
 # Guards the distance of two sites, m2: far below any distance that matters here.
@@ -41,7 +40,7 @@ WIDEST_CORE = 0.75
 # Share of the lowest triangle's height that separates triangles without a common node in a flat sheet.
 CALM = 0.8
 # Shares of the list's capacity for which a program is compiled: what is not needed is not computed.
-SIZES = (64, 8, 1)
+SIZES = (16, 1)
 
 
 def pair_energy(distance: Array, stiffness: Array, sigma: Array, core: Array | float | None = None) -> Array:
@@ -128,9 +127,8 @@ class Contact(eqx.Module):
 
         def some(pairs: "_Pairs") -> Array:
             r, distance = _separation(pairs, x)
-            push = scale(-pairs.strength * self._slope(distance) / distance, r)
-            vectors = tuple(scale(pairs.weights[:, k], push) for k in range(6))
-            return scatter(pairs.nodes, vectors, x.shape[0])
+            push = (-pairs.strength * self._slope(distance) / distance)[:, None] * r
+            return jnp.zeros_like(x).at[pairs.nodes].add(pairs.weights[:, :, None] * push[:, None])
 
         return self._guarded(x, some, jnp.zeros_like(x))
 
@@ -144,11 +142,12 @@ class Contact(eqx.Module):
             r, distance = _separation(pairs, x)
             stiffness = pairs.strength * self._stiffness(distance)
             tension = pairs.strength * self._slope(distance) / distance
-            along = outer(r, r) / (distance * distance)
-            matrix = (stiffness - tension) * along + tension * jnp.eye(3)[..., None]
+            direction = r / distance[:, None]
+            row, column = np.triu_indices(3)
+            along = direction[:, row] * direction[:, column]
+            upper = (stiffness - tension)[:, None] * along + tension[:, None] * (row == column)
             both = pairs.weights[:, local[:, 0]] * pairs.weights[:, local[:, 1]]
-            upper = matrix[np.triu_indices(3)]
-            products = (both[:, :, None] * upper.T[:, None, :]).reshape(-1, len(local) * 6)
+            products = (both[:, :, None] * upper[:, None, :]).reshape(-1, len(local) * 6)
             return segment_sum(products, pairs.owner, count, indices_are_sorted=True)
 
         sums = self._guarded(x, some, jnp.zeros((count, len(local) * 6), x.dtype))
@@ -168,9 +167,8 @@ class Contact(eqx.Module):
             _, distance = _separation(pairs, x)
             closer = 0.9 * distance
             most = jnp.maximum(jnp.abs(self._stiffness(closer)), jnp.abs(self._slope(closer) / closer))
-            parts = tuple(2.0 * jnp.abs(pairs.weights[:, k]) * pairs.strength * most for k in range(6))
-            index = jnp.concatenate([pairs.nodes[:, k] for k in range(6)])
-            return segment_sum(jnp.concatenate(parts), index, x.shape[0])
+            parts = 2.0 * jnp.abs(pairs.weights) * (pairs.strength * most)[:, None]
+            return jnp.zeros(x.shape[0], x.dtype).at[pairs.nodes].add(parts)
 
         return self._guarded(x, some, jnp.zeros(x.shape[0], x.dtype))
 
@@ -219,13 +217,10 @@ class _Pairs(NamedTuple):
     owner: Array
 
 
-def _separation(pairs: _Pairs, x: Array) -> tuple[Vec, Array]:
-    """$r_{12}$ of (26) and its length."""
-    corners = gather(x, pairs.nodes)
-    r = scale(pairs.weights[:, 0], corners[0])
-    for k in range(1, 6):
-        r = add(r, scale(pairs.weights[:, k], corners[k]))
-    return r, jnp.sqrt(dot(r, r) + TINY)
+def _separation(pairs: _Pairs, x: Array) -> tuple[Array, Array]:
+    """$r_{12}$ (P, 3) of (26) and its length."""
+    r = jnp.einsum("pk,pki->pi", pairs.weights, x[pairs.nodes])
+    return r, jnp.sqrt(jnp.sum(r * r, axis=1) + TINY)
 
 
 def _by_size(near: Near, function: Callable[[_Pairs], Array], nothing: Array) -> Array:

@@ -57,25 +57,24 @@ def touches(corners: Corners, steps: Corners, shared: Array, range: Array, asked
         )
         return jnp.sqrt(jnp.min(jnp.where(shared, jnp.inf, primitive_distances(*here)), axis=0))
 
-    speed = _relative_motion(steps)
-    zero = jnp.zeros_like(speed)
-    start = distance(zero)
-    floor = TOUCHING * jnp.minimum(start, range)
+    speed = jnp.maximum(_relative_motion(steps), 1e-300)
 
     def body(carry):
-        t, gap, count = carry
-        t = jnp.minimum(t + jnp.where(gap > floor, gap - 0.5 * floor, 0.0) / jnp.maximum(speed, 1e-300), 1.0)
-        return t, distance(t), count + 1
-
-    def under_way(t: Array, gap: Array) -> Array:
-        return asked & (t < 1.0) & (gap > floor)
+        t, floor, touched, count = carry
+        gap = distance(t)
+        floor = jnp.where(count == 0, TOUCHING * jnp.minimum(gap, range), floor)
+        touched = touched | (asked & (t < 1.0) & (gap <= floor))
+        # No part comes nearer than half of the floor on the way to the next look.
+        ahead = jnp.where(touched | ~asked, 1.0, t + (gap - 0.5 * floor) / speed)
+        return jnp.minimum(ahead, 1.0), floor, touched, count + 1
 
     def unfinished(carry) -> Array:
-        t, gap, count = carry
-        return jnp.any(under_way(t, gap)) & (count < ADVANCES)
+        t, _, _, count = carry
+        return jnp.any(t < 1.0) & (count < ADVANCES)
 
-    t, gap, _ = jax.lax.while_loop(unfinished, body, (zero, start, jnp.asarray(0)))
-    return asked & ((gap <= floor) | (t < 1.0))
+    zero = jnp.zeros_like(speed)
+    t, _, touched, _ = jax.lax.while_loop(unfinished, body, (zero, zero, jnp.zeros_like(asked), jnp.asarray(0)))
+    return touched | (asked & (t < 1.0))
 
 
 def _relative_motion(steps: Corners) -> Array:

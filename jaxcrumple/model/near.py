@@ -116,7 +116,7 @@ def no_neighbors(n: int, room: Room = Room()) -> Near:
 
 def slack_for(contact: "Contact", x: Array, ahead: Array) -> Array:
     """Slack (n,) of a list made at `x` for steps that go to `ahead` (n, 3)."""
-    return SLACK * contact.range + 2.0 * motion(x, ahead)
+    return SLACK * contact.range + 1.2 * motion(x, ahead)
 
 
 def find_near(contact: "Contact", x: Array, slack: Array) -> Near:

@@ -76,15 +76,15 @@ class Attempt(NamedTuple):
         return self.cause < 0
 
 
-def stability_limit(scene: Scene, x: Array) -> Array:
-    """Largest stable explicit step in s at positions `x`, from element-wise eigenvalue bounds.
+def stability_limit(scene: Scene, x: Array, t: Array | float = 0.0) -> Array:
+    """Largest stable explicit step in s at positions `x` and time `t`, from element-wise eigenvalue bounds.
 
     For a spring $(\\hat r\\cdot(u_i - u_j))^2 \\le 2(\\hat r\\cdot u_i)^2 + 2(\\hat r\\cdot u_j)^2$, and
     for a hinge the factor is 4, so twice (four times) the nodes' own blocks bound the spectrum; on
     the hexagonal lattice the spring bound is sharp ($6 k_s/m$). Damping enters as $\\omega^2
     b_{int}/k_s + b_{iso}/m$, the largest decay rate.
     """
-    omega_sq = jnp.max(largest_eigenvalue(_stiffness_bound(scene, x)) / scene.mass)
+    omega_sq = jnp.max(largest_eigenvalue(_stiffness_bound(scene, x, t)) / scene.mass)
     decay = jnp.zeros(())
     if scene.damping is not None:
         decay = decay + omega_sq * jnp.max(scene.damping.coefficient / scene.membrane.stiffness)
@@ -109,7 +109,7 @@ def largest_eigenvalue(a: Array) -> Array:
     return mean + 2.0 * size * jnp.cos(angle)
 
 
-def _stiffness_bound(scene: Scene, x: Array) -> Array:
+def _stiffness_bound(scene: Scene, x: Array, t: Array | float) -> Array:
     """Node blocks (n, 3, 3) in N/m whose largest eigenvalue over m bounds omega^2."""
     bound = jnp.zeros((x.shape[0], 3, 3))
     xi, xj = gather(x, scene.membrane.nodes)
@@ -126,7 +126,7 @@ def _stiffness_bound(scene: Scene, x: Array) -> Array:
         block = stiffness * outer(g, g)
         bound = bound.at[scene.bending.nodes[:, k]].add(jnp.moveaxis(block, -1, 0))
     for wall in scene.walls:
-        bound = bound + 2.0 * wall.stiffness[:, None, None] * jnp.eye(3)
+        bound = bound + wall.stiffness_bound(x, t)[:, None, None] * jnp.eye(3)
     if scene.contact is not None:
         bound = bound + scene.contact.stiffness_bound(x)[:, None, None] * jnp.eye(3)
     return bound

@@ -9,13 +9,12 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from jaxcrumple.model.fields import as_float
-from jaxcrumple.model.near import Near
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers import explicit
 from jaxcrumple.solvers.bdf import push
 from jaxcrumple.solvers.implicit import Attempt, aligns
 from jaxcrumple.solvers.linear import Factor
-from jaxcrumple.solvers.lists import largest_move, listed, prepare, start_lists, waits
+from jaxcrumple.solvers.lists import Lists, largest_move, listed, ready_for, renewed, start_lists, waits
 from jaxcrumple.solvers.log import AFTER, BEFORE, STEP, Log, Row, append, empty_log
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.solvers.switch import fresh_monitor, has_settled, observe, wants_inertia
@@ -58,7 +57,7 @@ SMALLEST_STEP = 1e-13
 
 class _Carry(NamedTuple):
     state: State
-    near: Near | None
+    lists: Lists | None
     log: Log
     factor: Factor | None
     spent: Array
@@ -78,19 +77,17 @@ def integrate(
 
     **Returns:** the new `State` and the `Log` of this call.
     """
-    state, near = start_lists(scene, state)
-    scene = listed(scene, near)
-    unsound = ~_is_sound(scene, state) & ~waits(state)
-    state = _with_result(state, unsound, RESULTS.nonfinite)
+    state, lists = start_lists(scene, state)
     start_h = jnp.where(state.h > 0, state.h, jnp.minimum(solver.first_step, solver.max_step))
     known = jnp.any(state.stage == jnp.asarray(solver.stages))
     stage = jnp.where(known, state.stage, solver.stages[0])
     state = eqx.tree_at(lambda s: (s.h, s.stage), state, (start_h, stage))
     factor = None if solver.implicit is None else solver.implicit.linear.start(scene.pattern)
     left, log = as_float(max_attempts), empty_log(LOG_CAPACITY)
-    carry = _Carry(state, near, log, factor, jnp.asarray(0), left, state.t >= t_stop)
+    carry = _Carry(state, lists, log, factor, jnp.asarray(0), left, state.t >= t_stop)
 
     def stages(carry: _Carry) -> _Carry:
+        carry = _renewed(scene, carry)
         if solver.implicit is not None:
             carry = _implicit_stages(scene, carry, t_stop, solver)
         return _explicit_stage(scene, carry, t_stop, solver) if solver.has(EXPLICIT) else carry
@@ -101,11 +98,18 @@ def integrate(
     return end.state, end.log
 
 
+def _renewed(scene: Scene, carry: _Carry) -> _Carry:
+    """The loop before its next steps: lists made anew where due, forces found finite."""
+    state, lists = renewed(scene, carry.state, carry.lists)
+    unsound = ~_is_sound(listed(scene, lists), state) & ~waits(state)
+    return carry._replace(state=_with_result(state, unsound, RESULTS.nonfinite), lists=lists)
+
+
 def _is_sound(scene: Scene, state: State) -> Array:
     """Whether rates, scales and stability limit are finite: where they are not, no step can end well."""
     numbers = (
         rates(scene, state.x, state.v, state.p, state.t),
-        explicit.stability_limit(scene, state.x),
+        explicit.stability_limit(scene, state.x, state.t),
         (scene.reference_acceleration, scene.velocity_scale, scene.length_scale),
     )
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(numbers)]))
@@ -117,9 +121,14 @@ def _going(carry: _Carry) -> Array:
     return ~carry.done & room & sound & (carry.spent < BUDGET) & (carry.left > 0)
 
 
+def _interrupted(carry: _Carry) -> Array:
+    """Whether the lists must be made anew before the next step."""
+    return jnp.asarray(False) if carry.lists is None else carry.lists.due
+
+
 def _tried(carry: _Carry, state: State, log: Log, factor, cost: int, done: Array) -> _Carry:
     """The loop after another attempt."""
-    return _Carry(state, carry.near, log, factor, carry.spent + cost, carry.left - 1.0, done)
+    return _Carry(state, carry.lists, log, factor, carry.spent + cost, carry.left - 1.0, done)
 
 
 def _clip_step(t: Array, h: Array, t_stop: Array) -> tuple[Array, Array]:
@@ -147,7 +156,7 @@ def _implicit_stages(scene: Scene, carry: _Carry, t_stop: Array, solver: Integra
     """Run the quasistatic stage and the implicit one with inertia, until an explicit one is due."""
 
     def unfinished(carry: _Carry) -> Array:
-        return _going(carry) & (carry.state.stage != EXPLICIT)
+        return _going(carry) & (carry.state.stage != EXPLICIT) & ~_interrupted(carry)
 
     def body(carry: _Carry) -> _Carry:
         return _implicit_step(scene, carry, t_stop, solver)
@@ -161,13 +170,13 @@ def _with_limit(scene: Scene, state: State) -> State:
     It is part of the state, so that a run cut anywhere goes on with the same numbers.
     """
     due = state.monitor.steps % LIMIT_EVERY == 0
-    limit = jax.lax.cond(due, lambda: explicit.stability_limit(scene, state.x), lambda: state.limit)
+    limit = jax.lax.cond(due, lambda: explicit.stability_limit(scene, state.x, state.t), lambda: state.limit)
     return eqx.tree_at(lambda s: s.limit, state, limit)
 
 
 def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
     assert solver.implicit is not None
-    scene = listed(scene, carry.near)
+    scene = listed(scene, carry.lists)
     state = _with_limit(scene, carry.state)
     wanted = jnp.minimum(state.h, solver.max_step)
     # The step that aligns the velocity with the forces is as short as an explicit one.
@@ -177,16 +186,16 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
         ahead = solver.implicit.predict(scene, state, wanted)
         wanted = wanted * largest_move(scene, state.x, ahead)
     h, lands = _clip_step(state.t, wanted, t_stop)
-    carry = carry._replace(state=state)
     if scene.contact is None:
-        return _implicit_attempt(scene, carry, t_stop, solver, wanted, h, lands)
-    ready = prepare(scene, state, carry.near, solver.implicit.predict(scene, state, h))
-    carry = carry._replace(near=ready.near, state=eqx.tree_at(lambda s: s.listing, state, ready.listing))
+        return _implicit_attempt(scene, carry._replace(state=state), t_stop, solver, wanted, h, lands)
+    ahead = solver.implicit.predict(scene, state, h)
+    state, lists, ready = ready_for(scene, state, carry.lists, ahead)
+    carry = carry._replace(state=state, lists=lists)
 
     def attempt() -> _Carry:
-        return _implicit_attempt(ready.scene, carry, t_stop, solver, wanted, h, lands)
+        return _implicit_attempt(scene, carry, t_stop, solver, wanted, h, lands)
 
-    return jax.lax.cond(ready.ready, attempt, lambda: carry)
+    return jax.lax.cond(ready, attempt, lambda: carry)
 
 
 def _implicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted, h, lands) -> _Carry:
@@ -303,11 +312,11 @@ def _with_result(state: State, failed: Array, result: Any) -> State:
 def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
     """Run the explicit stage for as long as it lasts."""
     assert solver.explicit is not None
-    stages = explicit.first_stages(listed(scene, carry.near), carry.state)
+    stages = explicit.first_stages(listed(scene, carry.lists), carry.state)
 
     def unfinished(loop) -> Array:
         carry, *_ = loop
-        return _going(carry) & (carry.state.stage == EXPLICIT)
+        return _going(carry) & (carry.state.stage == EXPLICIT) & ~_interrupted(carry)
 
     def body(loop):
         carry, stages, fresh = loop
@@ -319,25 +328,26 @@ def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrat
 
 def _explicit_step(scene: Scene, carry: _Carry, t_stop, solver: Integrator, stages, fresh):
     assert solver.explicit is not None
-    scene = listed(scene, carry.near)
+    scene = listed(scene, carry.lists)
     state = _with_limit(scene, carry.state)
     cap = solver.explicit.safety * state.limit
     started = state.h_explicit > 0
     wanted = jnp.minimum(jnp.where(started, jnp.minimum(state.h_explicit, cap), cap), solver.max_step)
     if scene.contact is not None:
         wanted = wanted * largest_move(scene, state.x, state.x + wanted * state.v)
-    carry = carry._replace(state=state)
     if scene.contact is None:
-        return _explicit_attempt(scene, carry, t_stop, solver, wanted, stages, fresh)
+        return _explicit_attempt(
+            scene, carry._replace(state=state), t_stop, solver, wanted, stages, fresh
+        )
     ahead = state.x + LOOK_AHEAD * wanted * state.v
     ahead = state.x + largest_move(scene, state.x, ahead) * (ahead - state.x)
-    ready = prepare(scene, state, carry.near, ahead)
-    carry = carry._replace(near=ready.near, state=eqx.tree_at(lambda s: s.listing, state, ready.listing))
+    state, lists, ready = ready_for(scene, state, carry.lists, ahead)
+    carry = carry._replace(state=state, lists=lists)
 
     def attempt():
-        return _explicit_attempt(ready.scene, carry, t_stop, solver, wanted, stages, fresh)
+        return _explicit_attempt(scene, carry, t_stop, solver, wanted, stages, fresh)
 
-    return jax.lax.cond(ready.ready, attempt, lambda: (carry, stages, jnp.asarray(False)))
+    return jax.lax.cond(ready, attempt, lambda: (carry, stages, jnp.asarray(False)))
 
 
 def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted, stages, fresh):

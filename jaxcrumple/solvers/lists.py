@@ -16,27 +16,27 @@ from jaxcrumple.system import Listing, State
 USED = 0.9
 # Reach of a new list of candidates: ranges, and steps like the next one; it need not be more than lets a flat sheet
 # have no candidates, but is FEWEST steps at least.
-REACH, STEPS, FEWEST = 0.35, 32.0, 4.0
+REACH, STEPS, FEWEST = 0.35, 32.0, 2.0
 
 
-class Prepared(NamedTuple):
-    """A scene whose lists hold for the next step, or the `listing` that must be searched for before."""
+class Lists(NamedTuple):
+    """The pairs of sites that the loop holds: `near`, the `slack` (n,) that the next ones must have, and
+    whether they are `due`, before the next step."""
 
-    scene: Scene
-    near: Near | None
-    listing: Listing | None
-    ready: Array
+    near: Near
+    slack: Array
+    due: Array
 
 
-def start_lists(scene: Scene, state: State) -> tuple[State, Near | None]:
-    """Pairs of sites near the state's positions, and the state, which says whether a search is due first."""
+def start_lists(scene: Scene, state: State) -> tuple[State, Lists | None]:
+    """Lists that hold nowhere, and the state, which says whether a search is due first."""
     contact, listing = scene.contact, state.listing
     if contact is None or listing is None:
         return state, None
-    near = find_near(contact, state.x, slack_for(contact, state.x, state.x))
     known = contact.candidates.made_for(listing.x, listing.reach)
-    due = Listing(listing.x, listing.reach, ~known, near.overflow & known)
-    return eqx.tree_at(lambda s: s.listing, state, due), near
+    no = jnp.zeros(3, bool)
+    state = eqx.tree_at(lambda s: s.listing, state, Listing(listing.x, listing.reach, ~known, no))
+    return state, Lists(contact.near, slack_for(contact, state.x, state.x), jnp.asarray(True))
 
 
 def waits(state: State) -> Array:
@@ -45,9 +45,19 @@ def waits(state: State) -> Array:
     return jnp.asarray(False) if listing is None else listing.stale | jnp.any(listing.overflow)
 
 
-def listed(scene: Scene, near: Near | None) -> Scene:
-    """The scene with the list `near`."""
-    return scene if near is None else with_near(scene, near)
+def listed(scene: Scene, lists: Lists | None) -> Scene:
+    """The scene with the pairs of sites in the lists."""
+    return scene if lists is None else with_near(scene, lists.near)
+
+
+def renewed(scene: Scene, state: State, lists: Lists | None) -> tuple[State, Lists | None]:
+    """The lists made anew at the state's positions where that is due; the state says whether they fitted."""
+    contact, listing = scene.contact, state.listing
+    if contact is None or listing is None or lists is None:
+        return state, None
+    near = jax.lax.cond(lists.due, lambda: find_near(contact, state.x, lists.slack), lambda: lists.near)
+    full = eqx.tree_at(lambda s: s.listing.overflow, state, near.overflow)
+    return full, Lists(near, lists.slack, jnp.asarray(False))
 
 
 def largest_move(scene: Scene, x: Array, ahead: Array) -> Array:
@@ -57,29 +67,26 @@ def largest_move(scene: Scene, x: Array, ahead: Array) -> Array:
     return jnp.minimum(scene.contact.stride / jnp.maximum(moved, 1e-300), 1.0)
 
 
-def prepare(scene: Scene, state: State, near: Near | None, ahead: Array) -> Prepared:
-    """Make the lists hold for a step from the state to `ahead` (n, 3), as far as that goes in the program."""
+def ready_for(scene: Scene, state: State, lists: Lists | None, ahead: Array) -> tuple[State, Lists | None, Array]:
+    """Whether the lists hold for a step from the state to `ahead` (n, 3); where not, what is due before."""
     contact, listing = scene.contact, state.listing
-    if contact is None or near is None or listing is None:
-        return Prepared(scene, None, None, jnp.asarray(True))
-    known = contact.candidates.made_for(listing.x, listing.reach)
-    within = jnp.all(motion(contact.candidates.x, ahead) <= USED * contact.candidates.reach)
-    theta = scene.bending.hinges(state.x).theta
-    fresh = known & within & (contact.sharpest(theta) < DUE_TURN)
-    held = jnp.all(motion(near.x, ahead) <= USED * near.slack)
-    slack = slack_for(contact, state.x, ahead)
-    near = jax.lax.cond(held | ~fresh, lambda: near, lambda: find_near(contact, state.x, slack))
+    if contact is None or listing is None or lists is None:
+        return state, None, jnp.asarray(True)
+    candidates, near = contact.candidates, lists.near
+    within = jnp.all(motion(candidates.x, ahead) <= USED * candidates.reach)
+    blunt = contact.sharpest(scene.bending.hinges(state.x).theta) < DUE_TURN
+    stale = ~(within & blunt)
     moved = motion(state.x, ahead)
     reach = REACH * contact.range + STEPS * moved
     least = REACH * contact.range + FEWEST * moved
     reach = jnp.minimum(reach, jnp.maximum(contact.calm, least))
-    due = Listing(
-        jnp.where(fresh, listing.x, state.x),
-        jnp.where(fresh, listing.reach, reach),
-        ~fresh,
-        near.overflow & fresh,
+    wanted = Listing(
+        jnp.where(stale, state.x, listing.x), jnp.where(stale, reach, listing.reach), stale, listing.overflow
     )
-    return Prepared(with_near(scene, near), near, due, fresh & ~jnp.any(near.overflow))
+    held = jnp.all(motion(near.x, ahead) <= USED * near.slack)
+    slack = jnp.where(held, lists.slack, slack_for(contact, state.x, ahead))
+    state = eqx.tree_at(lambda s: s.listing, state, wanted)
+    return state, Lists(near, slack, ~held), held & ~stale
 
 
 def passes(scene: Scene, state: State, x: Array, t: Array) -> Array:
