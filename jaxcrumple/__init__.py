@@ -6,9 +6,11 @@ from jaxcrumple.material import Material
 from jaxcrumple.mesh import Mesh, MeshError
 from jaxcrumple.meshgen import disc, hexagonal, rectangle
 from jaxcrumple.model.confinement import Cone, Cylinder, Plane, Ramp, Sphere, Wall
+from jaxcrumple.model.contact import SelfContact
 from jaxcrumple.model.loads import ElementEnergy, Gravity, LinearMotion, Prescribed
 from jaxcrumple.model.plasticity import AbstractFlowRule, SmoothstepFlow
 from jaxcrumple.model.scene import Scene, sheet
+from jaxcrumple.renewal import with_contacts
 from jaxcrumple.run import resume_run, start_run
 from jaxcrumple.scenes import arch, cap, energy_drop, radial, relaxed_drop
 from jaxcrumple.simulate import SimulationError, Solution, frame_times, simulate
@@ -49,6 +51,7 @@ __all__ = [
     "Run",
     "RunDirectoryError",
     "Scene",
+    "SelfContact",
     "SimulationError",
     "SmoothstepFlow",
     "Solution",
@@ -82,4 +85,5 @@ __all__ = [
     "simulate",
     "start_run",
     "tangent",
+    "with_contacts",
 ]

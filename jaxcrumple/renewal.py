@@ -5,15 +5,19 @@ import time
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxcrumple.model.merger import Merger
-from jaxcrumple.model.near import Candidates, Near, Room, no_neighbors
-from jaxcrumple.model.scene import Scene
+from jaxcrumple.model.near import SLACK, Candidates, Near, Room, find_near, no_neighbors
+from jaxcrumple.model.scene import Scene, with_near
 from jaxcrumple.model.search import Search
-from jaxcrumple.system import Listing, State
+from jaxcrumple.system import Listing, State, first_listing
 
+_find_near = eqx.filter_jit(find_near)
 # First room of the lists: for each node, pairs of triangles that may meet, those near, sites there, and pairs.
-ROOM_PER_NODE = (2.0, 0.5, 8.0, 16.0)
+ROOM_PER_NODE = (2.0, 0.5, 32.0, 32.0)
+# and those of the smallest sheets.
+SMALLEST_ROOM = 1000
 
 
 class Renewal:
@@ -28,7 +32,7 @@ class Renewal:
         assert contact is not None and scene.pattern.contact is not None
         self.search = Search(contact, np.asarray(scene.bending.nodes))
         self.merger = Merger(scene.pattern, np.asarray(contact.faces)) if merged else None
-        rooms = [int(share * scene.n_nodes) for share in ROOM_PER_NODE]
+        rooms = [int(share * max(scene.n_nodes, SMALLEST_ROOM)) for share in ROOM_PER_NODE]
         self.candidates = max(rooms[0], contact.candidates.triangles.shape[0])
         old = contact.near.room
         self.room = Room(*(max(new, before) for new, before in zip(rooms[1:], old, strict=True)))
@@ -43,10 +47,9 @@ class Renewal:
             return scene, state
         start = time.perf_counter()
         if full.any():
-            self.room = Room(*(2 * size if over else size for size, over in zip(self.room, full, strict=True)))
-            scene = _with_room(scene, self.room)
+            scene = self.grown(scene, full)
         if bool(listing.stale):
-            scene = self._searched(scene, listing)
+            scene = self.searched(scene, listing)
         self.seconds += time.perf_counter() - start
         no = jnp.asarray(False)
         served = Listing(listing.x, listing.reach, no, jnp.broadcast_to(no, 3))
@@ -57,7 +60,13 @@ class Renewal:
         stale = eqx.tree_at(lambda s: s.listing.stale, state, jnp.asarray(True))
         return self(_with_room(scene, self.room), stale)
 
-    def _searched(self, scene: Scene, listing: Listing) -> Scene:
+    def grown(self, scene: Scene, full: np.ndarray) -> Scene:
+        """The scene with twice the room in the lists that are `full` (3,)."""
+        self.room = Room(*(2 * size if over else size for size, over in zip(self.room, full, strict=True)))
+        return _with_room(scene, self.room)
+
+    def searched(self, scene: Scene, listing: Listing) -> Scene:
+        """The scene with the candidates of a listing."""
         assert scene.contact is not None and scene.pattern.contact is not None
         self.searches += 1
         pairs, folded = self.search.find(np.asarray(listing.x), np.asarray(listing.reach))
@@ -91,3 +100,23 @@ def _with_room(scene: Scene, room: Room) -> Scene:
         scene,
         (near, *empty),
     )  # fmt: skip
+
+
+def with_contacts(scene: Scene, x: ArrayLike) -> Scene:
+    """The scene with its lists of contact made for positions `x` (n, 3) in m.
+
+    Energies, forces and tangents of a self-avoiding scene hold near the positions that its lists were made for, and
+    are NaN elsewhere; `simulate` makes its own. A scene without contact is returned as it is.
+    """
+    contact = scene.contact
+    if contact is None:
+        return scene
+    listing = first_listing(contact, jnp.asarray(x, float))
+    renewal = Renewal(scene, merged=True)
+    scene = _with_room(renewal.searched(scene, listing), renewal.room)
+    slack = jnp.full(scene.n_nodes, SLACK * contact.range)
+    near = _find_near(scene.contact, listing.x, slack)
+    while np.any(near.overflow):
+        scene = renewal.grown(scene, np.asarray(near.overflow))
+        near = _find_near(scene.contact, listing.x, slack)
+    return with_near(scene, near)

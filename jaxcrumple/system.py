@@ -146,7 +146,7 @@ def initial_state(scene: Scene, x: Array, v: Array | None = None, *, window: int
         h_explicit=nought,
         limit=nought,
         stage=jnp.asarray(-1, int),
-        listing=None if scene.contact is None else _first_listing(scene.contact, x),
+        listing=None if scene.contact is None else first_listing(scene.contact, x),
         history=restart_history(x, v, p),
         monitor=Monitor(jnp.zeros(window), zero, nought),
         counters=Counters(jnp.zeros(len(STAGES), int), jnp.zeros(len(CAUSES), int), zero, zero, zero, zero),
@@ -154,7 +154,7 @@ def initial_state(scene: Scene, x: Array, v: Array | None = None, *, window: int
     )
 
 
-def _first_listing(contact: Contact, x: Array) -> Listing:
+def first_listing(contact: Contact, x: Array) -> Listing:
     """Where a run that starts at positions `x` (n, 3) searches."""
     no = jnp.asarray(False)
     reach = jnp.maximum(contact.calm, SLACK * contact.range)

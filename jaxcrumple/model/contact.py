@@ -22,6 +22,7 @@ from jaxcrumple.mesh import Mesh
 from jaxcrumple.model.crossing import crosses
 from jaxcrumple.model.fans import Fans, build_fans
 from jaxcrumple.model.fields import as_float
+from jaxcrumple.model.heads import by_size
 from jaxcrumple.model.near import Candidates, Near, no_candidates, no_neighbors
 from jaxcrumple.model.stencil import upper_pairs
 
@@ -37,10 +38,10 @@ BARRIER_SPACING = 0.5
 CORE = 1.05 * 2.0 / np.sqrt(3.0)
 # The largest core in ranges: what is left is where the barrier rises.
 WIDEST_CORE = 0.75
+# Room for motion that a bound of the stiffness leaves: distances are taken to be this much of what they are.
+CLOSER = 0.95
 # Share of the lowest triangle's height that separates triangles without a common node in a flat sheet.
 CALM = 0.8
-# Shares of the list's capacity for which a program is compiled: what is not needed is not computed.
-SIZES = (16, 1)
 
 
 def pair_energy(distance: Array, stiffness: Array, sigma: Array, core: Array | float | None = None) -> Array:
@@ -119,8 +120,12 @@ class Contact(eqx.Module):
 
     def energy(self, x: Array) -> Array:
         """Energy in J at positions `x` (n, 3); NaN where the list of pairs does not hold for them."""
-        zero = jnp.zeros((), x.dtype)
-        return self._guarded(x, lambda pairs: jnp.sum(self._pair_energies(pairs, x)), zero)
+
+        def some(pairs: "_Pairs") -> Array:
+            _, distance = _separation(pairs, x)
+            return jnp.sum(pairs.strength * self._potential(distance))
+
+        return self._listed(x, some, jnp.zeros((), x.dtype))
 
     def force(self, x: Array) -> Array:
         """Nodal forces (n, 3) in N, (27)-(28); NaN where the list of pairs does not hold."""
@@ -130,47 +135,41 @@ class Contact(eqx.Module):
             push = (-pairs.strength * self._slope(distance) / distance)[:, None] * r
             return jnp.zeros_like(x).at[pairs.nodes].add(pairs.weights[:, :, None] * push[:, None])
 
-        return self._guarded(x, some, jnp.zeros_like(x))
+        return self._listed(x, some, jnp.zeros_like(x))
 
     def blocks(self, x: Array) -> Array:
-        """Hessians (21, 3, 3, T) in N/m of the pairs of triangles in the list, as `upper_pairs(6)` orders
+        """Hessians (T, 21, 3, 3) in N/m of the pairs of triangles in the list, as `upper_pairs(6)` orders
         their nodes, (A.10) with its sign put right."""
-        count = self.near.triangles.shape[0]
-        local = np.array(upper_pairs(6))
+        count, local = self.near.triangles.shape[0], np.array(upper_pairs(6))
+        row, column = np.triu_indices(3)
 
         def some(pairs: "_Pairs") -> Array:
             r, distance = _separation(pairs, x)
             stiffness = pairs.strength * self._stiffness(distance)
             tension = pairs.strength * self._slope(distance) / distance
             direction = r / distance[:, None]
-            row, column = np.triu_indices(3)
             along = direction[:, row] * direction[:, column]
             upper = (stiffness - tension)[:, None] * along + tension[:, None] * (row == column)
             both = pairs.weights[:, local[:, 0]] * pairs.weights[:, local[:, 1]]
             products = (both[:, :, None] * upper[:, None, :]).reshape(-1, len(local) * 6)
             return segment_sum(products, pairs.owner, count, indices_are_sorted=True)
 
-        sums = self._guarded(x, some, jnp.zeros((count, len(local) * 6), x.dtype))
+        sums = self._touching(x, some, jnp.zeros((count, len(local) * 6), x.dtype))
         square = np.zeros((3, 3), int)
-        square[np.triu_indices(3)] = np.arange(6)
-        square = np.maximum(square, square.T)
-        blocks = jnp.moveaxis(sums.reshape(count, len(local), 6)[:, :, square], 0, -1)
-        # A node that both triangles have is met from both sides.
-        nodes = self.faces[self.near.triangles].reshape(count, 6)
-        twice = (nodes[:, local[:, 0]] == nodes[:, local[:, 1]]) & (local[:, 0] != local[:, 1])
-        return blocks * jnp.where(twice, 2.0, 1.0).T[:, None, None]
+        square[row, column] = square[column, row] = np.arange(6)
+        return sums.reshape(count, len(local), 6)[:, :, square]
 
     def stiffness_bound(self, x: Array) -> Array:
-        """Numbers (n,) in N/m whose matrix bounds the Hessian: half-way closer than `x` is allowed for."""
+        """Numbers (n,) in N/m whose matrix bounds the Hessian, also a little closer than at `x`."""
 
         def some(pairs: "_Pairs") -> Array:
             _, distance = _separation(pairs, x)
-            closer = 0.9 * distance
+            closer = CLOSER * distance
             most = jnp.maximum(jnp.abs(self._stiffness(closer)), jnp.abs(self._slope(closer) / closer))
             parts = 2.0 * jnp.abs(pairs.weights) * (pairs.strength * most)[:, None]
             return jnp.zeros(x.shape[0], x.dtype).at[pairs.nodes].add(parts)
 
-        return self._guarded(x, some, jnp.zeros(x.shape[0], x.dtype))
+        return self._listed(x, some, jnp.zeros(x.shape[0], x.dtype))
 
     def gaps(self, x: Array) -> tuple[Array, Array]:
         """Smallest distance in m of two interacting sites (infinite if none), and how many there are."""
@@ -179,9 +178,8 @@ class Contact(eqx.Module):
         active = (pairs.strength > 0) & (distance < self.range)
         return jnp.min(jnp.where(active, distance, jnp.inf)), jnp.sum(active)
 
-    def _pair_energies(self, pairs: "_Pairs", x: Array) -> Array:
-        _, distance = _separation(pairs, x)
-        return pairs.strength * pair_energy(distance, self.stiffness, self.range, self.core)
+    def _potential(self, distance: Array) -> Array:
+        return pair_energy(distance, self.stiffness, self.range, self.core)
 
     def _slope(self, distance: Array) -> Array:
         return jax.vmap(jax.grad(lambda r: pair_energy(r, self.stiffness, self.range, self.core)))(distance)
@@ -192,10 +190,46 @@ class Contact(eqx.Module):
 
         return jax.vmap(jax.grad(slope))(distance)
 
-    def _guarded(self, x: Array, function: Callable[["_Pairs"], Array], nothing: Array) -> Array:
-        """`function` of the listed pairs, computed for as few as possible; NaN where the list does not hold."""
-        value = _by_size(self.near, function, nothing)
+    def _listed(self, x: Array, function: Callable[["_Pairs"], Array], nothing: Array) -> Array:
+        """`function` of the pairs in the list; NaN where it does not hold."""
+        near = self.near
+
+        def head(size: int) -> Array:
+            pairs = near.nodes[:size], near.weights[:size], near.strength[:size], near.owner[:size]
+            return function(_Pairs(*pairs))
+
+        value = by_size(near.site_count, near.strength.shape[0], head, nothing)
         return jnp.where(self.covers(x), value, jnp.nan)
+
+    def _touching(self, x: Array, function: Callable[["_Pairs"], Array], nothing: Array) -> Array:
+        """The same of the pairs within the range only, for functions that cost more than to pick these."""
+        place, count = self._active(x)
+
+        def head(size: int) -> Array:
+            at = place[:size]
+            held = jnp.arange(size) < count
+            near, none = self.near, self.near.triangles.shape[0]
+            strength = jnp.where(held, near.strength[at], 0.0)
+            owner = jnp.where(held, near.owner[at], none)
+            return function(_Pairs(near.nodes[at], near.weights[at], strength, owner))
+
+        return jnp.where(self.covers(x), by_size(count, place.shape[0], head, nothing), jnp.nan)
+
+    def _active(self, x: Array) -> tuple[Array, Array]:
+        """Places (P,) in the list of the pairs of sites that are within the range, and how many there are."""
+        near, room = self.near, self.near.strength.shape[0]
+
+        def head(size: int) -> tuple[Array, Array]:
+            pairs = _Pairs(near.nodes[:size], near.weights[:size], near.strength[:size], near.owner[:size])
+            _, distance = _separation(pairs, x)
+            close = (distance < self.range) & (pairs.strength > 0)
+            order = jnp.cumsum(close)
+            place = jnp.where(close, order - 1, room)
+            found = jnp.arange(size, dtype=jnp.int32)
+            return jnp.zeros(room, jnp.int32).at[place].set(found, mode="drop"), order[-1]
+
+        nothing = (jnp.zeros(room, jnp.int32), jnp.asarray(0))
+        return by_size(near.site_count, room, head, nothing)
 
     def sharpest(self, theta: Array) -> Array:
         """Largest turn in rad of a fold that the candidates leave out, where hinges have angles `theta` (h,)."""
@@ -221,20 +255,6 @@ def _separation(pairs: _Pairs, x: Array) -> tuple[Array, Array]:
     """$r_{12}$ (P, 3) of (26) and its length."""
     r = jnp.einsum("pk,pki->pi", pairs.weights, x[pairs.nodes])
     return r, jnp.sqrt(jnp.sum(r * r, axis=1) + TINY)
-
-
-def _by_size(near: Near, function: Callable[[_Pairs], Array], nothing: Array) -> Array:
-    """`function` of the shortest head of the list that holds all pairs."""
-    capacity = near.nodes.shape[0]
-    sizes = sorted({max(capacity // share, 1) for share in SIZES})
-
-    def head(size: int) -> Callable[[], Array]:
-        return lambda: function(
-            _Pairs(near.nodes[:size], near.weights[:size], near.strength[:size], near.owner[:size])
-        )
-
-    index = jnp.sum(near.site_count > jnp.asarray([0, *sizes[:-1]]))
-    return jax.lax.switch(index, [lambda: nothing, *map(head, sizes)])
 
 
 def build_contact(mesh: Mesh, constants: ModelConstants, options: SelfContact) -> Contact:

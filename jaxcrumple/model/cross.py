@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sparse
 from jax import Array
 
+from jaxcrumple.model.heads import by_size
 from jaxcrumple.model.stencil import upper_pairs
 
 # Node pairs of two triangles, as `Contact.blocks` orders them: within a triangle, and from one to the other.
@@ -55,23 +56,32 @@ class Cross(eqx.Module):
         return SIZE * self.triangles.shape[0]
 
     def assemble(self, values: Array, blocks: Array) -> Array:
-        """Values (nnz,) of the sheet with those of `blocks` (21, 3, 3, t) added and appended."""
-        valid = jnp.arange(self.triangles.shape[0]) < self.count
-        blocks = jnp.where(valid, blocks, 0.0)
-        for side in range(2):
-            entries = jnp.moveaxis(self.face_entries[self.triangles[:, side]], 0, -1)
-            values = values.at[entries].add(blocks[OWN[side]], mode="drop")
-        return jnp.concatenate([values, jnp.moveaxis(blocks[CROSS], -1, 0).reshape(-1)])
+        """Values (nnz,) of the sheet with those of `blocks` (t, 21, 3, 3) added and appended."""
+
+        def head(size: int) -> Array:
+            total = values
+            for side in range(2):
+                entries = self.face_entries[self.triangles[:size, side]]
+                total = total.at[entries].add(blocks[:size, OWN[side]], mode="drop")
+            appended = jnp.zeros(self.size, values.dtype)
+            appended = appended.at[: SIZE * size].set(blocks[:size, CROSS].reshape(-1))
+            return jnp.concatenate([total, appended])
+
+        nothing = jnp.concatenate([values, jnp.zeros(self.size, values.dtype)])
+        return by_size(self.count, self.triangles.shape[0], head, nothing)
 
     def product(self, appended: Array, x: Array) -> Array:
         """Appended values (81 t,) times vector (3n,)."""
-        blocks = appended.reshape(-1, 3, 3, 3, 3)
         points = x.reshape(-1, 3)
-        one, two = self.nodes[:, :3], self.nodes[:, 3:]
-        first = jnp.einsum("tijab,tjb->tia", blocks, points[two])
-        second = jnp.einsum("tijab,tia->tjb", blocks, points[one])
-        result = jnp.zeros_like(points).at[one].add(first).at[two].add(second)
-        return result.reshape(-1)
+
+        def head(size: int) -> Array:
+            blocks = appended[: SIZE * size].reshape(-1, 3, 3, 3, 3)
+            one, two = self.nodes[:size, :3], self.nodes[:size, 3:]
+            first = jnp.einsum("tijab,tjb->tia", blocks, points[two])
+            second = jnp.einsum("tijab,tia->tjb", blocks, points[one])
+            return jnp.zeros_like(points).at[one].add(first).at[two].add(second).reshape(-1)
+
+        return by_size(self.count, self.triangles.shape[0], head, jnp.zeros_like(x))
 
     def free(self, appended: Array, mask: Array) -> Array:
         """Appended values with rows and columns of components in `mask` (n, 3) set to zero."""
@@ -94,9 +104,15 @@ class Cross(eqx.Module):
     def merge(self, own: Array, appended: Array) -> Array:
         """Values of the merged matrix (room,)."""
         assert self.merged is not None
-        twice = self.nodes[:, :3, None] == self.nodes[:, None, 3:]
-        # A node that both triangles have is met from both sides.
-        blocks = appended.reshape(-1, 3, 3, 3, 3) * jnp.where(twice, 2.0, 1.0)[..., None, None]
-        values = jnp.zeros(self.merged.indices.shape[0], own.dtype).at[self.merged.place].set(own)
-        entries = self.merged.cross[self.candidate]
-        return values.at[entries].add(blocks.reshape(-1, SIZE), mode="drop")
+        merged = self.merged
+        values = jnp.zeros(merged.indices.shape[0], own.dtype).at[merged.place].set(own)
+
+        def head(size: int) -> Array:
+            twice = self.nodes[:size, :3, None] == self.nodes[:size, None, 3:]
+            # A node that both triangles have is met from both sides.
+            factor = jnp.where(twice, 2.0, 1.0)[..., None, None]
+            blocks = appended[: SIZE * size].reshape(-1, 3, 3, 3, 3) * factor
+            entries = merged.cross[self.candidate[:size]]
+            return values.at[entries].add(blocks.reshape(-1, SIZE), mode="drop")
+
+        return by_size(self.count, self.triangles.shape[0], head, values)

@@ -20,14 +20,6 @@ ENDS = ((0, 1), (1, 2), (2, 0))
 PARALLEL, TINY = 1e-12, 1e-60
 
 
-def point_segment(p: Vec, a: Vec, b: Vec) -> Array:
-    """Squared distance of a point from the segment a b."""
-    e, r = sub(b, a), sub(p, a)
-    u = jnp.clip(dot(r, e) / (dot(e, e) + TINY), 0.0, 1.0)
-    d = sub(r, scale(u, e))
-    return dot(d, d)
-
-
 def segment_segment(p1: Vec, p2: Vec, q1: Vec, q2: Vec) -> Array:
     """Squared distance between the segments p1 p2 and q1 q2."""
     d1, d2, r = sub(p2, p1), sub(q2, q1), sub(p1, q1)
@@ -50,12 +42,6 @@ def point_plane(p: Vec, a: Vec, b: Vec, c: Vec) -> Array:
     u, v = dot(cross(r, e1), n) / area, dot(cross(e0, r), n) / area
     height = dot(r, n)
     return jnp.where((u >= 0) & (v >= 0) & (u + v <= 1), height * height / area, jnp.inf)
-
-
-def point_triangle(p: Vec, a: Vec, b: Vec, c: Vec) -> Array:
-    """Squared distance of a point from the triangle a b c."""
-    rim = jnp.minimum(jnp.minimum(point_segment(p, a, b), point_segment(p, b, c)), point_segment(p, c, a))
-    return jnp.minimum(point_plane(p, a, b, c), rim)
 
 
 def primitive_distances(first: tuple[Vec, ...], second: tuple[Vec, ...]) -> Array:

@@ -7,22 +7,28 @@ was made, less the mean motion of the sheet, which changes no distance. Lists ar
 not interact adds exact zeros, so results do not depend on when a list was made.
 """
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxcrumple.model.distance import point_triangle, primitive_distances, shared_parts
-from jaxcrumple.model.geometry import Vec, dot, gather, sub
+from jaxcrumple.model.distance import TINY, primitive_distances, shared_parts
+from jaxcrumple.model.geometry import Vec, cross, dot, gather, scale, sub
 
 if TYPE_CHECKING:
     from jaxcrumple.model.contact import Contact
 
 # Sites that are nearer than this many ranges in the rest state never interact.
 EXCLUSION = 2.0
+# Pairs of triangles, and of sites, that are looked at together while a list is made.
+PAIRS, SITES = 128, 4096
 # Smallest slack of a node, in ranges.
 SLACK = 0.25
+# Steps like the next one for which a list is made, and that step itself with some room.
+SEVERAL, ONE = 3.0, 1.2
 
 
 class Candidates(eqx.Module):
@@ -115,86 +121,149 @@ def no_neighbors(n: int, room: Room = Room()) -> Near:
 
 
 def slack_for(contact: "Contact", x: Array, ahead: Array) -> Array:
-    """Slack (n,) of a list made at `x` for steps that go to `ahead` (n, 3)."""
-    return SLACK * contact.range + 1.2 * motion(x, ahead)
+    """Slack (n,) of a list made at `x` for steps that go to `ahead` (n, 3): for a few of them, or for one where
+    that is far."""
+    moved = motion(x, ahead)
+    few = jnp.minimum(SEVERAL * moved, jnp.maximum(ONE * moved, contact.calm))
+    return SLACK * contact.range + few
 
 
 def find_near(contact: "Contact", x: Array, slack: Array) -> Near:
     """The pairs of sites that may interact while no node moves further than `slack` (n,) from `x` (n, 3),
     in a list of the same size as the one that `contact` has."""
-    candidates, faces, sizes = contact.candidates, contact.faces, contact.near.room
+    candidates, faces, room = contact.candidates, contact.faces, contact.near.room
     first, second = faces[candidates.triangles[:, 0]], faces[candidates.triangles[:, 1]]
+    reach = contact.range + jnp.max(slack[first], axis=1) + jnp.max(slack[second], axis=1)
+
+    def close(at: Array) -> Array:
+        return (_distances(x, first[at], second[at])[0] <= reach[at])[:, None]
+
+    pairs, pair_count = _compact(close, candidates.count, 1, room.triangles, PAIRS)
+    first, second, reach = first[pairs], second[pairs], reach[pairs]
+
+    def site_close(at: Array) -> Array:
+        """Sites of the first triangles that lie near the second ones."""
+        return _around(contact.weights, gather(x, first[at]), gather(x, second[at]), reach[at])
+
+    count = contact.weights.shape[0]
+    rows = max(SITES // count, 1)
+    found, found_count = _compact(site_close, pair_count, count, room.sites, rows)
+    owner, site = found // count, found % count
+
+    def sites_close(at: Array) -> Array:
+        """Sites of the second triangles near a site of the first, whose neighbours at rest they were not."""
+        one, two, limit = first[owner[at]], second[owner[at]], reach[owner[at]]
+        weights = contact.weights[site[at]]
+        near = _squared(contact.weights, x, one, weights, two) <= (limit * limit)[:, None]
+        apart = _squared(contact.weights, contact.rest, one, weights, two)
+        return near & (apart >= (EXCLUSION * contact.range) ** 2)
+
+    picked, total = _compact(sites_close, found_count, count, room.pairs, rows)
+    row, other = picked // count, picked % count
+    triangles = candidates.triangles[pairs]
+    areas = contact.density[triangles[owner[row]]]
+    strength = contact.share[site[row]] * areas[:, 0] * contact.share[other] * areas[:, 1]
+    held = jnp.arange(room.pairs) < total
+    return Near(
+        pairs=pairs,
+        triangles=triangles,
+        distance=_fill(lambda at: _distances(x, first[at], second[at])[1], pair_count, room.triangles),
+        pair_count=pair_count,
+        nodes=jnp.concatenate([first[owner[row]], second[owner[row]]], axis=1),
+        weights=jnp.concatenate([contact.weights[site[row]], -contact.weights[other]], axis=1),
+        strength=jnp.where(held, strength, 0.0),
+        owner=jnp.where(held, owner[row], room.triangles).astype(jnp.int32),
+        site_count=total,
+        x=x,
+        slack=slack,
+        overflow=jnp.stack([pair_count > room.triangles, found_count > room.sites, total > room.pairs]),
+        site_room=room.sites,
+    )
+
+
+def _distances(x: Array, first: Array, second: Array) -> tuple[Array, Array]:
+    """Distance (m,) of triangles with nodes (m, 3), and of those of their parts that share no node."""
     parts = primitive_distances(gather(x, first), gather(x, second))
     shared = shared_parts(first, second)
     whole = jnp.where(jnp.any(shared, axis=0), 0.0, jnp.sqrt(jnp.min(parts, axis=0)))
-    apart = jnp.sqrt(jnp.min(jnp.where(shared, jnp.inf, parts), axis=0))
-    room = jnp.max(slack[first], axis=1) + jnp.max(slack[second], axis=1)
-    valid = jnp.arange(first.shape[0]) < candidates.count
-    pairs, pair_count = _compact(valid & (whole <= contact.range + room), sizes.triangles)
-    held = jnp.arange(sizes.triangles) < pair_count
-    sites, site_count = _sites_at_triangles(contact, x, first[pairs], second[pairs], room[pairs], held, sizes)
-    return _site_pairs(
-        contact, x, slack, (pairs, pair_count), candidates.triangles[pairs], apart[pairs], room[pairs],
-        (sites, site_count), sizes,
+    return whole, jnp.sqrt(jnp.min(jnp.where(shared, jnp.inf, parts), axis=0))
+
+
+def _compact(test: Callable[[Array], Array], count: Array, width: int, size: int, rows: int):
+    """Places row * width + column where `test` holds, in order, 0 beyond, and how many there are.
+
+    `test` takes row numbers (k,) and returns (k, `width`) of a table whose first `count` rows count. It is called
+    for `rows` at a time, as often as there are such, so that room costs nothing.
+    """
+
+    def body(carry):
+        chunk, places, total = carry
+        at = chunk * rows + jnp.arange(rows)
+        holds = test(jnp.minimum(at, count - 1)) & (at < count)[:, None]
+        flat = holds.reshape(-1)
+        order = total + jnp.cumsum(flat)
+        found = (jnp.arange(rows * width) + chunk * rows * width).astype(jnp.int32)
+        places = places.at[jnp.where(flat, order - 1, size)].set(found, mode="drop")
+        return chunk + 1, places, order[-1]
+
+    zero = jnp.asarray(0)
+    start = (zero, jnp.zeros(size, jnp.int32), zero)
+    _, places, total = jax.lax.while_loop(lambda c: c[0] * rows < count, body, start)
+    return places, total
+
+
+def _fill(value: Callable[[Array], Array], count: Array, size: int) -> Array:
+    """The first `count` of `size` numbers, a few at a time; the others are 0."""
+
+    def body(carry):
+        chunk, values = carry
+        at = jnp.minimum(chunk * PAIRS + jnp.arange(PAIRS), size - 1)
+        return chunk + 1, jax.lax.dynamic_update_slice(values, value(at), (chunk * PAIRS,))
+
+    start = (jnp.asarray(0), jnp.zeros(size + PAIRS))
+    return jax.lax.while_loop(lambda c: c[0] * PAIRS < jnp.minimum(count, size), body, start)[1][:size]
+
+
+def _around(weights: Array, first: tuple[Vec, ...], second: tuple[Vec, ...], reach: Array) -> Array:
+    """Which sites (m, s) of the first triangles lie within a prism around the second ones, `reach` (m,) wide.
+
+    The prism's five sides are planes, and a site's height above a plane is the mean of its corners' heights.
+    """
+    edges = [sub(second[(k + 1) % 3], second[k]) for k in range(3)]
+    normal = _unit(cross(edges[0], edges[1]))
+    inside = jnp.ones((reach.shape[0], weights.shape[0]), bool)
+    for corner, direction in [
+        (second[0], normal),
+        (second[0], scale(-1.0, normal)),
+        *((second[k], _unit(cross(edges[k], normal))) for k in range(3)),
+    ]:
+        heights = jnp.stack([dot(sub(c, corner), direction) for c in first], axis=1)
+        inside = inside & (heights @ weights.T <= reach[:, None])
+    return inside
+
+
+def _unit(a: Vec) -> Vec:
+    return scale(1.0 / jnp.sqrt(dot(a, a) + TINY), a)
+
+
+def _squared(lattice: Array, x: Array, one: Array, weights: Array, two: Array) -> Array:
+    """Squared distances (m, s) of a site with `weights` (m, 3) in the triangle `one` (m, 3) from all sites of `two`.
+
+    They are quadratic in a site's two coordinates: a product of matrices.
+    """
+    corner, second, third = (x[two[:, k]] for k in (2, 0, 1))
+    point = jnp.einsum("mk,mki->mi", weights, x[one]) - corner
+    u, v = second - corner, third - corner
+
+    def pair(a: Array, b: Array) -> Array:
+        return jnp.sum(a * b, axis=1)
+
+    form = jnp.stack(
+        [
+            pair(point, point), -2.0 * pair(point, u), -2.0 * pair(point, v), pair(u, u), 2.0 * pair(u, v),
+            pair(v, v),
+        ],
+        axis=1,
     )  # fmt: skip
-
-
-def _compact(mask: Array, size: int) -> tuple[Array, Array]:
-    """Places of the first `size` true entries, 0 beyond, and how many there are in all."""
-    return jnp.nonzero(mask, size=size, fill_value=0)[0].astype(jnp.int32), jnp.sum(mask)
-
-
-def _sites_at_triangles(contact: "Contact", x, first, second, room, held, sizes: Room):
-    """Sites of the first triangles of the pairs that lie near the second ones, as pair * s + site."""
-    corners = tuple(tuple(c[:, None] for c in corner) for corner in gather(x, second))
-    point = _positions(contact, gather(x, first))
-    reach = contact.range + room
-    close = point_triangle(point, *corners) <= (reach * reach)[:, None]
-    return _compact((close & held[:, None]).reshape(-1), sizes.sites)
-
-
-def _positions(contact: "Contact", corners: tuple[Vec, ...]) -> Vec:
-    """All sites (m, s) of triangles with `corners` of components (m,)."""
-    w = contact.weights.T
-    return tuple(  # type: ignore[return-value]
-        sum(corner[i][:, None] * w[k] for k, corner in enumerate(corners)) for i in range(3)
-    )
-
-
-def _site(contact: "Contact", corners: tuple[Vec, ...], site: Array) -> Vec:
-    """One site (m, 1) of each of m triangles."""
-    w = contact.weights[site]
-    return tuple(  # type: ignore[return-value]
-        sum(corner[i] * w[:, k] for k, corner in enumerate(corners))[:, None] for i in range(3)
-    )
-
-
-def _site_pairs(contact: "Contact", x, slack, pairs, triangles, apart, room, sites, sizes: Room) -> Near:
-    """Pairs of a site found near a triangle with the sites of that triangle."""
-    (place, pair_count), (found, site_count) = pairs, sites
-    count = contact.weights.shape[0]
-    owner, site = found // count, found % count
-    one, two = (contact.faces[triangles[owner, k]] for k in range(2))
-    limit = (contact.range + room)[owner]
-    near = _squared(contact, x, one, two, site) < (limit * limit)[:, None]
-    excluded = (EXCLUSION * contact.range) ** 2
-    meet = near & (_squared(contact, contact.rest, one, two, site) >= excluded)
-    held = jnp.arange(sizes.sites) < site_count
-    picked, total = _compact((meet & held[:, None]).reshape(-1), sizes.pairs)
-    row, other = picked // count, picked % count
-    listed = jnp.arange(sizes.pairs) < total
-    weights = jnp.concatenate([contact.weights[site[row]], -contact.weights[other]], axis=1)
-    areas = contact.density[triangles[owner[row]]]
-    strength = contact.share[site[row]] * areas[:, 0] * contact.share[other] * areas[:, 1]
-    overflow = jnp.stack([pair_count > sizes.triangles, site_count > sizes.sites, total > sizes.pairs])
-    return Near(
-        place, triangles, apart, pair_count,
-        jnp.concatenate([one[row], two[row]], axis=1), weights, jnp.where(listed, strength, 0.0),
-        jnp.where(listed, owner[row], sizes.triangles).astype(jnp.int32), total, x, slack, overflow, sizes.sites,
-    )  # fmt: skip
-
-
-def _squared(contact: "Contact", x: Array, one: Array, two: Array, site: Array) -> Array:
-    """Squared distances (k, s) of one site of each triangle `one` (k, 3) from all of `two` (k, 3)."""
-    r = sub(_site(contact, gather(x, one), site), _positions(contact, gather(x, two)))
-    return dot(r, r)
+    a, b = lattice[:, 0], lattice[:, 1]
+    return form @ jnp.stack([jnp.ones_like(a), a, b, a * a, a * b, b * b])

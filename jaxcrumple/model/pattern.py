@@ -54,7 +54,7 @@ class Pattern(eqx.Module):
         self, element_blocks: Sequence[Array], node_blocks: Array, contact_blocks: Array | None = None
     ) -> Array:
         """Values (size,) from element blocks (pairs, 3, 3, m), one per stencil, node blocks (n, 3, 3), and
-        those of touching triangles (21, 3, 3, t)."""
+        those of touching triangles (t, 21, 3, 3)."""
         values = jnp.zeros(self.nnz, node_blocks.dtype)
         values = values.at[self.node_entries].add(node_blocks, mode="drop")
         for entries, blocks in zip(self.element_entries, element_blocks, strict=True):

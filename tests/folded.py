@@ -1,0 +1,75 @@
+"""Sheets folded onto themselves, and their contact energy by brute force."""
+
+import numpy as np
+
+import jaxcrumple as jc
+
+
+def strip(gap: float, columns: int = 9, rows: int = 5, step: float = 1.1e-3) -> jc.Mesh:
+    """A flat strip of crossed rectangles with two columns `gap` apart in its middle, where `folded` folds it."""
+    side = gap / 2.0 + step * np.arange(columns)
+    s = np.concatenate([-side[::-1], side])
+    y = step * (np.arange(rows) - 0.5 * (rows - 1))
+    points = np.stack(np.meshgrid(s, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    faces = []
+    for i in range(len(s) - 1):
+        for j in range(rows - 1):
+            a, b, c, d = i * rows + j, (i + 1) * rows + j, (i + 1) * rows + j + 1, i * rows + j + 1
+            faces += [(a, b, c), (a, c, d)] if (i + j) % 2 else [(a, b, d), (b, c, d)]
+    return jc.Mesh.from_arrays(points, faces)
+
+
+def folded(mesh: jc.Mesh, gap: float) -> np.ndarray:
+    """Positions (n, 3) of a `strip` with two creases of 90 degrees: two layers `gap` apart, nothing stretched."""
+    x = mesh.vertices.copy()
+    x[:, 2] = np.clip(x[:, 0], -gap / 2.0, gap / 2.0)
+    x[:, 0] = -(np.abs(x[:, 0]) - gap / 2.0)
+    return x
+
+
+def site_lattice(parts: int) -> tuple[np.ndarray, np.ndarray]:
+    """Barycentric weights of a triangle's sites and their shares of its area, from the small triangles."""
+    index = {}
+    for i in range(parts + 1):
+        for j in range(parts + 1 - i):
+            index[i, j] = len(index)
+    share = np.zeros(len(index))
+    for i in range(parts):
+        for j in range(parts - i):
+            triangles = [((i, j), (i + 1, j), (i, j + 1))]
+            if i + j < parts - 1:
+                triangles.append(((i + 1, j + 1), (i + 1, j), (i, j + 1)))
+            for triangle in triangles:
+                for corner in triangle:
+                    share[index[corner]] += 1.0 / (3.0 * parts**2)
+    weights = np.array([(i, j, parts - i - j) for i, j in index]) / parts
+    return weights, share
+
+
+def brute_force(mesh: jc.Mesh, x: np.ndarray, ks: float, sigma: float, parts: int) -> tuple[float, np.ndarray]:
+    """Contact energy and nodal forces by a sum over all pairs of merged sites of the sheet."""
+    weights, share = site_lattice(parts)
+    rest = np.einsum("sk,fki->fsi", weights, mesh.vertices[mesh.faces]).reshape(-1, 3)
+    area = np.outer(mesh.face_area, share).reshape(-1) / (np.sqrt(3.0) / 2.0 * sigma**2)
+    rows = np.repeat(np.arange(len(mesh.faces)), len(weights))
+    matrix = np.zeros((len(rest), mesh.n_nodes))
+    for k in range(3):
+        np.add.at(matrix, (np.arange(len(rest)), mesh.faces[rows, k]), np.tile(weights[:, k], len(mesh.faces)))
+    # Sites of several triangles at one place are one site.
+    _, first, place = np.unique(np.round(rest / 1e-9), axis=0, return_index=True, return_inverse=True)
+    area = np.bincount(place.reshape(-1), area)
+    matrix, rest = matrix[first], rest[first]
+    y = matrix @ x
+    i, j = np.triu_indices(len(y), 1)
+    r = y[i] - y[j]
+    distance = np.linalg.norm(r, axis=1)
+    apart = np.linalg.norm(rest[i] - rest[j], axis=1)
+    active = (distance < sigma) & (apart >= 2.0 * sigma)
+    i, j, r, distance = i[active], j[active], r[active], distance[active]
+    energy = area[i] * area[j] * ks * sigma**2 * np.exp(sigma / (distance - sigma))
+    pull = energy * sigma / (distance - sigma) ** 2
+    push = (pull / distance)[:, None] * r
+    force = np.zeros_like(y)
+    np.add.at(force, i, push)
+    np.add.at(force, j, -push)
+    return float(energy.sum()), matrix.T @ force

@@ -1,0 +1,115 @@
+"""Self-contact of a whole sheet against a sum over all pairs of sites, and what its symmetry demands."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from folded import brute_force, folded, strip
+
+import jaxcrumple as jc
+
+SIGMA, PARTS = 0.5e-3, 4
+
+
+def layers(gap: float = 0.75, potential: str = "penalty", level: int | None = PARTS - 1):
+    """A self-avoiding strip folded in half, its layers `gap` ranges apart: scene with lists, and positions."""
+    mesh = strip(gap * SIGMA)
+    options = jc.SelfContact(potential, range=SIGMA, level=level)
+    scene = jc.sheet(mesh, jc.Material(thickness=0.3e-3), contact=options)
+    rng = np.random.default_rng(4)
+    x = folded(mesh, gap * SIGMA) + 0.01 * SIGMA * rng.normal(size=(mesh.n_nodes, 3))
+    return mesh, jc.with_contacts(scene, x), jnp.asarray(x)
+
+
+def creased(mesh: jc.Mesh, half: float) -> np.ndarray:
+    """Positions (n, 3) of a sheet folded sharply about x = 0, each half at an angle `half` in degrees."""
+    x = mesh.vertices.copy()
+    fold = np.abs(x[:, 0])
+    x[:, 2], x[:, 0] = fold * np.cos(np.deg2rad(half)), x[:, 0] * np.sin(np.deg2rad(half))
+    return x
+
+
+@pytest.mark.parametrize("gap", [0.45, 0.75, 0.95])
+def test_energy_and_force_are_those_of_all_pairs_of_sites(gap):
+    mesh, scene, x = layers(gap)
+    energy, force = brute_force(mesh, np.asarray(x), float(scene.contact.stiffness), SIGMA, PARTS)
+    assert energy > 0
+    assert abs(float(scene.contact.energy(x)) / energy - 1.0) < 1e-11
+    np.testing.assert_allclose(scene.contact.force(x), force, rtol=0, atol=1e-10 * np.abs(force).max())
+
+
+@pytest.mark.parametrize("half", [None, 18.0])
+def test_force_is_minus_the_gradient_and_blocks_are_the_hessian(half):
+    mesh, scene, x = layers()
+    if half is not None:
+        # Triangles that share a node touch.
+        x = jnp.asarray(creased(mesh, half))
+        scene = jc.with_contacts(scene, x)
+    contact = scene.contact
+    size = float(jnp.max(jnp.abs(contact.force(x))))
+    np.testing.assert_allclose(contact.force(x), -jax.grad(contact.energy)(x), rtol=0, atol=1e-12 * size)
+    still = jc.initial_state(scene, x)
+    alone = eqx.tree_at(
+        lambda s: (s.membrane.stiffness, s.bending.stiffness),
+        scene,
+        (jnp.zeros_like(scene.membrane.stiffness), jnp.zeros_like(scene.bending.stiffness)),
+    )
+    hessian = jax.hessian(contact.energy)(x).reshape(x.size, x.size)
+    matrix = jc.tangent(alone, still).toarray()
+    np.testing.assert_allclose(matrix, hessian, rtol=0, atol=1e-11 * np.abs(hessian).max())
+    # Moving everything together changes nothing.
+    rows = matrix.reshape(x.size, mesh.n_nodes, 3).sum(axis=1)
+    assert np.abs(rows).max() < 1e-10 * np.abs(matrix).max()
+
+
+def test_net_force_and_torque_vanish():
+    _, scene, x = layers()
+    force = np.asarray(scene.contact.force(x))
+    size = np.abs(force).sum()
+    assert np.abs(force.sum(axis=0)).max() < 1e-13 * size
+    assert np.abs(np.cross(x, force).sum(axis=0)).max() < 1e-13 * size * 0.02
+
+
+@pytest.mark.parametrize("level", [7, 9])
+def test_pressure_of_two_layers_does_not_depend_on_the_level(level):
+    """The dense limit of PHYSICS: P = 2 pi n_s^2 g U(g), with one site per a_0."""
+    gap = 0.8
+    mesh, scene, _ = layers(gap, level=level)
+    x = folded(mesh, gap * SIGMA)
+    contact = jc.with_contacts(scene, x).contact
+    force = np.asarray(contact.force(jnp.asarray(x)))
+    inner = (x[:, 0] > -7e-3) & (x[:, 0] < -2e-3) & (np.abs(x[:, 1]) < 1.2e-3) & (x[:, 2] > 0)
+    pressure = force[inner, 2].sum() / mesh.node_area[inner].sum()
+    density = 1.0 / (np.sqrt(3.0) / 2.0 * SIGMA**2)
+    stiffness, g = float(contact.stiffness), gap * SIGMA
+    energy = stiffness * SIGMA**2 * np.exp(SIGMA / (g - SIGMA))
+    assert pressure == pytest.approx(2.0 * np.pi * density**2 * g * energy, rel=0.05)
+
+
+@pytest.mark.parametrize("half", [15.0, 20.0, 35.0])
+def test_neighbours_at_rest_never_interact_on_a_sharp_fold(half):
+    mesh, scene, _ = layers()
+    x = creased(mesh, half)
+    here = jc.with_contacts(scene, x).contact
+    energy, force = brute_force(mesh, x, float(here.stiffness), SIGMA, PARTS)
+    # Sites SIGMA from the crease on both sides of it are 2 SIGMA apart at rest, and 2 SIGMA sin(half) now.
+    assert (energy > 0) == (half < 30.0)
+    assert float(here.energy(jnp.asarray(x))) == pytest.approx(energy, rel=1e-9)
+    np.testing.assert_allclose(here.force(jnp.asarray(x)), force, rtol=0, atol=1e-9 * max(np.abs(force).max(), 1e-30))
+
+
+def test_lists_that_do_not_hold_give_nan_not_zero():
+    _, scene, x = layers()
+    moved = x.at[0].add(2.0 * SIGMA)
+    assert np.isnan(scene.contact.energy(moved))
+    assert np.all(np.isnan(scene.contact.force(moved)))
+    shifted = x + jnp.asarray([1.0, 2.0, 3.0])
+    assert float(scene.contact.energy(shifted)) == pytest.approx(float(scene.contact.energy(x)), rel=1e-6)
+
+
+def test_barrier_is_infinite_before_layers_touch():
+    _, scene, x = layers(0.9, potential="barrier", level=None)
+    assert 0 < float(scene.contact.energy(x)) < np.inf
+    _, scene, x = layers(0.1, potential="barrier", level=None)
+    assert np.isinf(scene.contact.energy(x))
