@@ -22,7 +22,7 @@ from jaxcrumple.mesh import Mesh
 from jaxcrumple.model.crossing import crosses
 from jaxcrumple.model.fans import Fans, build_fans
 from jaxcrumple.model.fields import as_float
-from jaxcrumple.model.heads import by_size
+from jaxcrumple.model.heads import SHARES, by_size
 from jaxcrumple.model.near import Candidates, Near, no_candidates, no_neighbors
 from jaxcrumple.model.stencil import upper_pairs
 
@@ -125,7 +125,7 @@ class Contact(eqx.Module):
             _, distance = _separation(pairs, x)
             return jnp.sum(pairs.strength * self._potential(distance))
 
-        return self._listed(x, some, jnp.zeros((), x.dtype))
+        return self._listed(x, some, jnp.zeros((), x.dtype), (8, 1))
 
     def force(self, x: Array) -> Array:
         """Nodal forces (n, 3) in N, (27)-(28); NaN where the list of pairs does not hold."""
@@ -169,7 +169,7 @@ class Contact(eqx.Module):
             parts = 2.0 * jnp.abs(pairs.weights) * (pairs.strength * most)[:, None]
             return jnp.zeros(x.shape[0], x.dtype).at[pairs.nodes].add(parts)
 
-        return self._listed(x, some, jnp.zeros(x.shape[0], x.dtype))
+        return self._listed(x, some, jnp.zeros(x.shape[0], x.dtype), (1,))
 
     def gaps(self, x: Array) -> tuple[Array, Array]:
         """Smallest distance in m of two interacting sites (infinite if none), and how many there are."""
@@ -190,7 +190,7 @@ class Contact(eqx.Module):
 
         return jax.vmap(jax.grad(slope))(distance)
 
-    def _listed(self, x: Array, function: Callable[["_Pairs"], Array], nothing: Array) -> Array:
+    def _listed(self, x: Array, function: Callable[["_Pairs"], Array], nothing: Array, shares=SHARES) -> Array:
         """`function` of the pairs in the list; NaN where it does not hold."""
         near = self.near
 
@@ -198,7 +198,7 @@ class Contact(eqx.Module):
             pairs = near.nodes[:size], near.weights[:size], near.strength[:size], near.owner[:size]
             return function(_Pairs(*pairs))
 
-        value = by_size(near.site_count, near.strength.shape[0], head, nothing)
+        value = by_size(near.site_count, near.strength.shape[0], head, nothing, shares)
         return jnp.where(self.covers(x), value, jnp.nan)
 
     def _touching(self, x: Array, function: Callable[["_Pairs"], Array], nothing: Array) -> Array:

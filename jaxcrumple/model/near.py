@@ -124,7 +124,7 @@ def slack_for(contact: "Contact", x: Array, ahead: Array) -> Array:
     """Slack (n,) of a list made at `x` for steps that go to `ahead` (n, 3): for a few of them, or for one where
     that is far."""
     moved = motion(x, ahead)
-    few = jnp.minimum(SEVERAL * moved, jnp.maximum(ONE * moved, contact.calm))
+    few = jnp.minimum(SEVERAL * moved, jnp.maximum(ONE * moved, 2.0 * SLACK * contact.range))
     return SLACK * contact.range + few
 
 

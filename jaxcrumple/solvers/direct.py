@@ -1,6 +1,6 @@
 """Sparse direct solver: $L D L^T$ by oneMKL PARDISO inside jit, with the inertia of the matrix."""
 
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,13 @@ from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor, Solution, id
 
 # Rounds of iterative refinement of a solution that nobody checks by conjugate gradients.
 REFINEMENTS = 2
+
+
+class _Workspace(NamedTuple):
+    """The library's handle of a factor, and the matrix it is of."""
+
+    token: Array
+    matrix: Array
 
 
 class Direct(AbstractLinearSolver):
@@ -34,8 +41,9 @@ class Direct(AbstractLinearSolver):
         from pardiso_mkl_jax import primitive
 
         values = _unbatched(identity_values(pattern))
-        token, _ = primitive.analyze(*_matrix(pattern, values), matrix_type=_kind())
-        return Factor(values, token, jnp.asarray(0))
+        indptr, indices, matrix = _matrix(pattern, values)
+        token, _ = primitive.analyze(indptr, indices, matrix, matrix_type=_kind())
+        return Factor(values, _Workspace(token, matrix), jnp.asarray(0))
 
     def factor(self, pattern: Pattern, values: Array, previous: Factor) -> Factor:
         """Factor new values; values that are not finite are replaced by the identity and reported."""
@@ -44,10 +52,13 @@ class Direct(AbstractLinearSolver):
         values = _unbatched(values)
         finite = jnp.all(jnp.isfinite(values))
         safe = jnp.where(finite, values, identity_values(pattern))
-        token, report = primitive.factor(previous.workspace, *_matrix(pattern, safe), matrix_type=_kind())
+        indptr, indices, matrix = _matrix(pattern, safe)
+        token, report = primitive.factor(
+            previous.workspace.token, indptr, indices, matrix, matrix_type=_kind()
+        )
         # report[22] is PARDISO's count of negative eigenvalues (iparm(23)).
         negative = jnp.where(finite, report[22], 1).astype(int)
-        return Factor(safe, token, negative)
+        return Factor(safe, _Workspace(token, matrix), negative)
 
     def solve(
         self, pattern: Pattern, factor: Factor, values: Array, rhs: Array, rtol: Array | float
@@ -73,31 +84,42 @@ class Direct(AbstractLinearSolver):
         """Free the factor; the library would keep those of the last calls."""
         from pardiso_mkl_jax import primitive
 
-        primitive.release(factor.workspace, after.astype(float))
+        primitive.release(factor.workspace.token, after.astype(float))
 
 
 def _substitute(pattern: Pattern, factor: Factor, rhs: Array) -> Array:
     """Forward and back substitution."""
     from pardiso_mkl_jax import primitive
 
+    token, matrix = factor.workspace
     x, _, _ = primitive.solve_stateful(
-        factor.workspace,
-        *_matrix(pattern, factor.values),
+        token,
+        *_structure(pattern),
+        matrix,
         _unbatched(rhs)[None],
         matrix_type=_kind(),
     )
     return x[0]
 
 
+def _structure(pattern: Pattern) -> tuple[Array, Array]:
+    """Row pointers and column indices of the upper triangle, contact included."""
+    if pattern.contact is None:
+        return pattern.indptr, pattern.indices
+    merged = pattern.contact.merged
+    if merged is None:
+        raise ValueError(
+            "the direct solver needs the lists of contact: scene = jaxcrumple.with_contacts(scene, x) makes them."
+        )
+    return merged.indptr, merged.indices
+
+
 def _matrix(pattern: Pattern, values: Array) -> tuple[Array, Array, Array]:
     """Row pointers, column indices and values of the upper triangle, contact included."""
-    contact = pattern.contact
-    if contact is None:
-        return pattern.indptr, pattern.indices, values
-    if contact.merged is None:
-        return pattern.indptr, pattern.indices, values[: pattern.nnz]
-    merged = contact.merge(values[: pattern.nnz], values[pattern.nnz :])
-    return contact.merged.indptr, contact.merged.indices, merged
+    indptr, indices = _structure(pattern)
+    if pattern.contact is None:
+        return indptr, indices, values
+    return indptr, indices, pattern.contact.merge(values[: pattern.nnz], values[pattern.nnz :])
 
 
 @jax.custom_batching.custom_vmap
