@@ -1,4 +1,5 @@
-"""Renewing the lists of contact on the host: the search for candidates, and room for more where lists are full."""
+"""Renewing the lists of contact on the host: the search for candidates, and room for more where lists are
+full."""
 
 import time
 
@@ -14,7 +15,8 @@ from jaxcrumple.model.search import Search
 from jaxcrumple.system import Listing, State, first_listing
 
 _find_near = eqx.filter_jit(find_near)
-# First room of the lists: for each node, pairs of triangles that may meet, those near, sites there, and pairs.
+# First room of the lists: for each node, pairs of triangles that may meet, those near, sites there, and
+# pairs.
 ROOM_PER_NODE = (2.0, 0.5, 32.0, 32.0)
 # and those of the smallest sheets.
 SMALLEST_ROOM = 1000
@@ -105,8 +107,8 @@ def _with_room(scene: Scene, room: Room) -> Scene:
 def with_contacts(scene: Scene, x: ArrayLike) -> Scene:
     """The scene with its lists of contact made for positions `x` (n, 3) in m.
 
-    Energies, forces and tangents of a self-avoiding scene hold near the positions that its lists were made for, and
-    are NaN elsewhere; `simulate` makes its own. A scene without contact is returned as it is.
+    Energies, forces and tangents of a self-avoiding scene hold near the positions that its lists were made
+    for, and are NaN elsewhere; `simulate` makes its own. A scene without contact is returned as it is.
     """
     contact = scene.contact
     if contact is None:
@@ -115,8 +117,10 @@ def with_contacts(scene: Scene, x: ArrayLike) -> Scene:
     renewal = Renewal(scene, merged=True)
     scene = _with_room(renewal.searched(scene, listing), renewal.room)
     slack = jnp.full(scene.n_nodes, SLACK * contact.range)
-    near = _find_near(scene.contact, listing.x, slack)
-    while np.any(near.overflow):
-        scene = renewal.grown(scene, np.asarray(near.overflow))
+    while True:
+        assert scene.contact is not None
         near = _find_near(scene.contact, listing.x, slack)
-    return with_near(scene, near)
+        full = np.asarray(near.overflow)
+        if not full.any():
+            return with_near(scene, near)
+        scene = renewal.grown(scene, full)

@@ -12,6 +12,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from jaxcrumple.model.fields import as_float
+from jaxcrumple.model.intersections import intersections
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.renewal import Renewal
 from jaxcrumple.solvers.direct import Direct
@@ -35,7 +36,7 @@ CHUNK = 1.0
 _integrate = eqx.filter_jit(integrate)
 
 ENERGIES = ("stretch", "bending", "contact", "confinement", "gravity", "extra", "kinetic")
-RESULT_NAMES = ("success", "budget", "collapsed", "blocked", "nonfinite")
+RESULT_NAMES = ("success", "budget", "collapsed", "blocked", "intersected", "nonfinite")
 
 
 class SimulationError(RuntimeError):
@@ -127,10 +128,12 @@ def simulate(
       stops with the result "budget".
     - `throw`: raise `SimulationError` when the result is not "success".
 
-    **Raises:** ValueError for times that are not finite, not increasing or before the state's, and for a
-    state of another scene or what is not a solver.
+    **Raises:** ValueError for times that are not finite, not increasing or before the state's, for a
+    state of another scene or what is not a solver, and for a sheet that starts behind a wall or, in a scene
+    with contact, passes through itself.
     """
     check_state(scene, state)
+    _check_start(scene, state)
     stops = _checked_times(times, first_frame, float(state.t))
     solver = integrator() if solver is None else solver
     if not isinstance(solver, Integrator):
@@ -140,7 +143,7 @@ def simulate(
     with limited_blas():
         renewal = None
         if scene.contact is not None:
-            renewal = Renewal(scene, isinstance(solver.implicit.linear, Direct))
+            renewal = Renewal(scene, _is_direct(solver))
             scene, state = renewal.first(scene, state)
         compile_s = _compile(scene, state, solver)
         start = time.perf_counter()
@@ -152,11 +155,48 @@ def simulate(
                 break
             for watcher in watchers:
                 watcher.frame(index, state)
+            if scene.contact is not None and len(_pierced(scene, state.x)):
+                state = eqx.tree_at(lambda s: s.result, state, RESULTS.intersected)
+                break
         run_s = time.perf_counter() - start
     solution = _solution(state, record, compile_s, run_s)
     if throw and solution.result != "success":
         raise SimulationError(solution)
     return solution
+
+
+def _is_direct(solver: Integrator) -> bool:
+    """Whether the tangent is wanted in one matrix."""
+    return solver.implicit is not None and isinstance(solver.implicit.linear, Direct)
+
+
+def _pierced(scene: Scene, x: ArrayLike) -> np.ndarray:
+    """Edges and triangles that intersect, as their nodes (k, 5)."""
+    assert scene.contact is not None
+    faces, edges = np.asarray(scene.contact.faces), np.asarray(scene.membrane.nodes)
+    pairs = intersections(x, faces, edges)
+    return np.concatenate([edges[pairs[:, 0]], faces[pairs[:, 1]]], axis=1)
+
+
+def _check_start(scene: Scene, state: State) -> None:
+    """Refuse a start that no motion leads on from."""
+    for index, wall in enumerate(scene.walls):
+        gap = np.asarray(wall.gap(state.x, state.t))
+        if np.min(gap) < 0:
+            node = int(np.argmin(gap))
+            raise ValueError(
+                f"node {node} starts {-gap[node]:.3g} m behind wall {index} ({type(wall.shape).__name__}); "
+                "move the sheet or the wall."
+            )
+    if scene.contact is None:
+        return
+    pierced = _pierced(scene, state.x)
+    if len(pierced):
+        a, b, *face = pierced[0].tolist()
+        raise ValueError(
+            f"the sheet starts passing through itself at {len(pierced)} places: edge ({a}, {b}) pierces "
+            f"triangle {tuple(face)}; start from positions without intersections, or leave contact out."
+        )
 
 
 def frame_times(t_end: float, frames: int) -> np.ndarray:
@@ -216,7 +256,14 @@ def _compile(scene: Scene, state: State, solver: Integrator) -> float:
 
 
 def _advance(
-    scene, state: State, t_stop: float, solver, watchers, frames: int, budget: _Budget, renewal: Renewal | None
+    scene,
+    state: State,
+    t_stop: float,
+    solver,
+    watchers,
+    frames: int,
+    budget: _Budget,
+    renewal: Renewal | None,
 ) -> tuple[Scene, State]:
     rows, told = [], time.perf_counter()
     while float(state.t) < t_stop:

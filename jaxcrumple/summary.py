@@ -3,11 +3,16 @@
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
 from jaxcrumple.measure.creases import crease_length, folded_hinges
+from jaxcrumple.measure.intersections import count_intersections
 from jaxcrumple.measure.strain import edge_strain
+from jaxcrumple.mesh import Mesh
+from jaxcrumple.model.scene import Scene
+from jaxcrumple.renewal import with_contacts
 from jaxcrumple.scenes import Setup
 from jaxcrumple.system import CAUSES, QUASISTATIC, State, energies
 
@@ -15,8 +20,8 @@ _energies = eqx.filter_jit(energies)
 
 
 def physics(setup: Setup, state: State, history: pd.DataFrame, events: pd.DataFrame) -> dict[str, Any]:
-    """Energies in J, strains, penetration in m, creases in m, and what each stage took."""
-    mesh, scene = setup.mesh, setup.scene
+    """Energies in J, strains, penetration and gaps in m, creases in m, and what each stage took."""
+    mesh, scene = setup.mesh, with_contacts(setup.scene, state.x)
     x = np.asarray(state.x)
     p = np.asarray(scene.rest_curvature(state.p))
     parts = _energies(scene, state.x, state.v, state.p, state.t)
@@ -27,13 +32,25 @@ def physics(setup: Setup, state: State, history: pd.DataFrame, events: pd.DataFr
         "rejected_by_cause": {cause: int(rejected[i]) for i, cause in enumerate(CAUSES)},
         "energy": {name: float(value) for name, value in parts._asdict().items()},
         "max_edge_strain": float(np.max(np.abs(strain))),
+        "high_edge_strain": float(np.quantile(np.abs(strain), 0.999)),
         "rms_edge_strain": float(np.sqrt(np.mean(strain**2))),
         "max_wall_penetration": float(max([0.0, *(-gap for gap in gaps)])),
+        **_contacts(mesh, scene, x),
         "inverted_hinges": folded_hinges(mesh, x),
         "crease_length": crease_length(mesh, p),
         "dynamic_share": dynamic_share(state, events),
         "step_size_s": _quantiles(history),
     }
+
+
+def _contacts(mesh: Mesh, scene: Scene, x: np.ndarray) -> dict[str, Any]:
+    """Intersections at the end; smallest distance in m of two sites that touch (None if none do), how many
+    do."""
+    found: dict[str, Any] = {"intersections": count_intersections(mesh, x), "min_gap": None, "contacts": 0}
+    if scene.contact is None:
+        return found
+    gap, count = scene.contact.gaps(jnp.asarray(x))
+    return found | {"min_gap": float(gap) if count else None, "contacts": int(count)}
 
 
 def dynamic_share(state: State, events: pd.DataFrame) -> dict[str, float]:

@@ -31,8 +31,12 @@ class RESULTS(eqx.Enumeration):  # type: ignore[misc]
         "state is kept. Look at the causes of rejection, and try another scheme, a smaller rtol or more drag"
     )
     blocked = (
-        "no step, however short, keeps the sheet from passing through itself or a wall; the last good state is "
-        "kept. The prescribed motion leaves no room, or a start lies in contact too deep"
+        "no step, however short, keeps the sheet from passing through itself or a wall; the last good state "
+        "is kept. The prescribed motion leaves no room, or a start lies in contact too deep"
+    )
+    intersected = (
+        "the sheet passes through itself in the last frame, which contact should have prevented; please "
+        "report it"
     )
     nonfinite = (
         "forces are not finite in the current state; it is kept as it was. Look for zero-length "

@@ -52,7 +52,7 @@ class Stretch(NamedTuple):
 
 def smooth(nodes: int) -> Stretch:
     """`radial` from its start through the first buckling."""
-    setup = radial(nodes)
+    setup = radial(nodes, contact=None)
     state = initial_state(setup.scene, setup.x)
     return Stretch(setup.scene, state, frame_times(0.6, 24)[1:])
 

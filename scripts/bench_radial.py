@@ -22,7 +22,7 @@ SCHEMES = ("hybrid", "alternating")
 
 def measure(nodes: int, scheme: str) -> dict:
     """One run; compiling apart."""
-    setup, solver = radial(nodes), integrator(RTOLS[scheme], scheme=scheme)
+    setup, solver = radial(nodes, contact=None), integrator(RTOLS[scheme], scheme=scheme)
     state = initial_state(setup.scene, setup.x)
     timed = timed_run(setup.scene, state, frame_times(T_END, FRAMES)[1:], solver, throw=True)
     run = timed.solution

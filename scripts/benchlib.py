@@ -141,7 +141,7 @@ def recorded(nodes: int, t: float, folder: Path) -> Recorded:
 
     `dynamic`, because `hybrid` may be amid explicit steps then, and have no implicit step to take.
     """
-    setup = radial(nodes)
+    setup = radial(nodes, contact=None)
     state = initial_state(setup.scene, setup.x)
     folder.mkdir(parents=True, exist_ok=True)
     earlier = sorted(u for u in STATES.values() if u <= t)
@@ -164,7 +164,7 @@ def refined(nodes: int, t: float, folder: Path) -> State:
     Each hinge carries the rest curvature that leaves it just at yield.
     """
     _, state = recorded(LARGEST_RUN, t, folder)
-    start, setup = radial(LARGEST_RUN), radial(nodes)
+    start, setup = (radial(n, contact=None) for n in (LARGEST_RUN, nodes))
     inner = 1.0 - 1e-9
     shape = CloughTocher2DInterpolator(start.mesh.vertices[:, :2], np.asarray(state.x))
     x = jnp.asarray(shape(inner * setup.mesh.vertices[:, :2]))

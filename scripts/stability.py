@@ -93,6 +93,7 @@ def _config(point: np.ndarray, number: int, ladder: list[int]) -> RunConfig:
         "internal_damping_time": value["internal_damping_time"],
         "sweeps": SWEEPS[int(point[-1] * len(SWEEPS))],
         "frames": FRAMES,
+        "contact": None,
     }
     nodes = ladder[int(point[-2] * len(ladder))]
     t_end = (START - END) / value["speed"]

@@ -6,7 +6,8 @@ import jaxcrumple as jc
 
 
 def strip(gap: float, columns: int = 9, rows: int = 5, step: float = 1.1e-3) -> jc.Mesh:
-    """A flat strip of crossed rectangles with two columns `gap` apart in its middle, where `folded` folds it."""
+    """A flat strip of crossed rectangles with two columns `gap` apart in its middle, where `folded` folds
+    it."""
     side = gap / 2.0 + step * np.arange(columns)
     s = np.concatenate([-side[::-1], side])
     y = step * (np.arange(rows) - 0.5 * (rows - 1))
@@ -20,7 +21,8 @@ def strip(gap: float, columns: int = 9, rows: int = 5, step: float = 1.1e-3) -> 
 
 
 def folded(mesh: jc.Mesh, gap: float) -> np.ndarray:
-    """Positions (n, 3) of a `strip` with two creases of 90 degrees: two layers `gap` apart, nothing stretched."""
+    """Positions (n, 3) of a `strip` with two creases of 90 degrees: two layers `gap` apart, nothing
+    stretched."""
     x = mesh.vertices.copy()
     x[:, 2] = np.clip(x[:, 0], -gap / 2.0, gap / 2.0)
     x[:, 0] = -(np.abs(x[:, 0]) - gap / 2.0)
@@ -46,7 +48,9 @@ def site_lattice(parts: int) -> tuple[np.ndarray, np.ndarray]:
     return weights, share
 
 
-def brute_force(mesh: jc.Mesh, x: np.ndarray, ks: float, sigma: float, parts: int) -> tuple[float, np.ndarray]:
+def brute_force(
+    mesh: jc.Mesh, x: np.ndarray, ks: float, sigma: float, parts: int
+) -> tuple[float, np.ndarray]:
     """Contact energy and nodal forces by a sum over all pairs of merged sites of the sheet."""
     weights, share = site_lattice(parts)
     rest = np.einsum("sk,fki->fsi", weights, mesh.vertices[mesh.faces]).reshape(-1, 3)
@@ -54,7 +58,9 @@ def brute_force(mesh: jc.Mesh, x: np.ndarray, ks: float, sigma: float, parts: in
     rows = np.repeat(np.arange(len(mesh.faces)), len(weights))
     matrix = np.zeros((len(rest), mesh.n_nodes))
     for k in range(3):
-        np.add.at(matrix, (np.arange(len(rest)), mesh.faces[rows, k]), np.tile(weights[:, k], len(mesh.faces)))
+        np.add.at(
+            matrix, (np.arange(len(rest)), mesh.faces[rows, k]), np.tile(weights[:, k], len(mesh.faces))
+        )
     # Sites of several triangles at one place are one site.
     _, first, place = np.unique(np.round(rest / 1e-9), axis=0, return_index=True, return_inverse=True)
     area = np.bincount(place.reshape(-1), area)

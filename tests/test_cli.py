@@ -17,7 +17,7 @@ from jaxcrumple.config import configure
 from jaxcrumple.io import CheckpointError, RunDirectory, RunDirectoryError
 from jaxcrumple.run import resume_run, start_run
 
-SETTINGS = ["frames=2", "scheme=alternating", "rtol=1e-4", "sweeps=5", "drag_rate=2300"]
+SETTINGS = ["frames=2", "contact=none", "scheme=alternating", "rtol=1e-4", "sweeps=5", "drag_rate=2300"]
 SMALL = ["--nodes", "60", "--t-end", "0.02", *(word for item in SETTINGS for word in ("--set", item))]
 CONFIG = configure("radial", nodes=60, t_end=0.02, settings=SETTINGS)
 

@@ -37,7 +37,7 @@ def solver(rtol=1e-4, scheme="alternating", **options):
 
 @functools.cache
 def setup():
-    return radial(NODES, sweeps=5, material=SHEET)
+    return radial(NODES, sweeps=5, contact=None, material=SHEET)
 
 
 def with_speed(scene, speed):
@@ -70,7 +70,9 @@ def test_new_numbers_do_not_compile_again(monkeypatch, tmp_path):
     first = simulate(scene, start(), SNAP_END, solver=solver())
     # One call ends after 1024 units of cost, 32 for each implicit step.
     assert 32 * int(jnp.sum(first.state.counters.steps[:2])) > 1024
-    other = radial(NODES, seed=0, sweeps=5, speed=0.02, radius=0.0715, material=Material(thickness=3e-4))
+    other = radial(
+        NODES, seed=0, sweeps=5, contact=None, speed=0.02, radius=0.0715, material=Material(thickness=3e-4)
+    )
     faster = simulate(other.scene, initial_state(other.scene, other.x), 0.004, solver=solver(3e-4))
     assert faster.result == "success"
     save_checkpoint(tmp_path / "checkpoint.npz", first.state)
@@ -189,7 +191,7 @@ def test_a_snap_switches_to_inertia_and_back():
 
 def test_what_the_switch_leaves_out_vanishes_with_the_tolerance():
     """Quasistatic steps leave inertia out; their switch makes them converge to inertia throughout."""
-    sheet = radial(NODES, sweeps=5, material=Material(drag_rate=400.0))
+    sheet = radial(NODES, sweeps=5, contact=None, material=Material(drag_rate=400.0))
     times = frame_times(0.03, 6)[1:]
 
     def positions(**options):
@@ -254,7 +256,7 @@ def test_quasistatic_only_never_switches():
     assert (int(counters.switches), *counters.steps[1:]) == (0, 0, 0)
     assert set(solution.history["stage"]) == {"quasistatic"}
     # More drag makes inertia a small correction even in this snap.
-    damped = radial(NODES, sweeps=5, material=Material(drag_rate=2000.0))
+    damped = radial(NODES, sweeps=5, contact=None, material=Material(drag_rate=2000.0))
     ends = []
     for scheme in ("quasistatic", "dynamic"):
         state = initial_state(damped.scene, damped.x)

@@ -13,7 +13,8 @@ SIGMA, PARTS = 0.5e-3, 4
 
 
 def layers(gap: float = 0.75, potential: str = "penalty", level: int | None = PARTS - 1):
-    """A self-avoiding strip folded in half, its layers `gap` ranges apart: scene with lists, and positions."""
+    """A self-avoiding strip folded in half, its layers `gap` ranges apart: scene with lists, and
+    positions."""
     mesh = strip(gap * SIGMA)
     options = jc.SelfContact(potential, range=SIGMA, level=level)
     scene = jc.sheet(mesh, jc.Material(thickness=0.3e-3), contact=options)
@@ -96,7 +97,9 @@ def test_neighbours_at_rest_never_interact_on_a_sharp_fold(half):
     # Sites SIGMA from the crease on both sides of it are 2 SIGMA apart at rest, and 2 SIGMA sin(half) now.
     assert (energy > 0) == (half < 30.0)
     assert float(here.energy(jnp.asarray(x))) == pytest.approx(energy, rel=1e-9)
-    np.testing.assert_allclose(here.force(jnp.asarray(x)), force, rtol=0, atol=1e-9 * max(np.abs(force).max(), 1e-30))
+    np.testing.assert_allclose(
+        here.force(jnp.asarray(x)), force, rtol=0, atol=1e-9 * max(np.abs(force).max(), 1e-30)
+    )
 
 
 def test_lists_that_do_not_hold_give_nan_not_zero():

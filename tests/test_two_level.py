@@ -105,7 +105,7 @@ def test_few_iterations_on_every_mesh(kind):
 def test_iterations_hardly_grow_with_the_mesh_and_are_far_fewer():
     counts = []
     for n in (500, 2000):
-        setup = radial(n, sweeps=20)
+        setup = radial(n, sweeps=20, contact=None)
         scene = setup.scene
         values = eqx.filter_jit(elastic_tangent)(
             scene, setup.x, scene.bending.rest_curvature, jnp.asarray(0.0), SIGMA
@@ -133,7 +133,7 @@ def test_a_preconditioner_serves_the_next_matrix():
 
 def test_rounding_is_not_taken_for_negative_curvature():
     # Blocks as large as the sheet hold its rigid motions: their inverses are beyond float32.
-    setup = radial(12, sweeps=5)
+    setup = radial(12, sweeps=5, contact=None)
     scene = setup.scene
     values = eqx.filter_jit(elastic_tangent)(
         scene, setup.x, scene.bending.rest_curvature, jnp.asarray(0.0), 1e-2
@@ -162,7 +162,7 @@ def test_new_numbers_do_not_compile_again():
 
 def test_factorisations_wait_for_each_other():
     # Two batches of LAPACK calls at once hang a machine of two threads: the coarse one needs the blocks'.
-    setup = radial(60, sweeps=5)
+    setup = radial(60, sweeps=5, contact=None)
     pattern = setup.scene.pattern
     solver = TwoLevel()
     factor = solver.start(pattern)

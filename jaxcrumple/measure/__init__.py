@@ -11,10 +11,12 @@ from jaxcrumple.measure.creases import (
     node_damage,
 )
 from jaxcrumple.measure.density import face_bending_density, face_plastic_curvature, face_stretch_density
+from jaxcrumple.measure.intersections import count_intersections
 from jaxcrumple.measure.strain import edge_strain, max_strain, rms_strain
 
 __all__ = [
     "DAMAGE",
+    "count_intersections",
     "crease_length",
     "damaged",
     "edge_strain",

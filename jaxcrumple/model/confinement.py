@@ -16,8 +16,9 @@ from jax.typing import ArrayLike
 
 from jaxcrumple.model.fields import as_float
 
-# Nearness s from which the law goes on as its Taylor polynomial of second order: so Newton's iterates may lie behind
-# the wall and come back. There a node is pushed with 832 k_w sigma; steps that end behind are rejected.
+# Nearness s from which the law goes on as its Taylor polynomial of second order: so Newton's iterates may lie
+# behind the wall and come back. There a node is pushed with 832 k_w sigma; steps that end behind are
+# rejected.
 NEAREST = 0.98
 # Guards the distance to a centre or an axis, m^2: far below any length that matters here.
 TINY = 1e-30

@@ -1,7 +1,7 @@
 """Self-contact between refined sites (Section 2.5): the potential, its forces and its tangent.
 
-Every triangle carries a lattice of sites (Fig. 2). A site stands for an area, so the energy is the paper's sum
-over pairs of sites written as a quadrature of $\\int\\int U(r)\\,dA\\,dA/a_0^2$, with $a_0 =
+Every triangle carries a lattice of sites (Fig. 2). A site stands for an area, so the energy is the paper's
+sum over pairs of sites written as a quadrature of $\\int\\int U(r)\\,dA\\,dA/a_0^2$, with $a_0 =
 \\sqrt 3\\sigma^2/2$, the area of a site of a lattice of spacing $\\sigma$: the stiffness per area does not
 depend on the refinement or on the triangle. On a lattice of triangles of height
 equal to $\\sigma$ these are the paper's (26)-(28).
@@ -31,8 +31,8 @@ Potential = Literal["penalty", "barrier"]
 TINY = 1e-30
 # Largest spacing of sites in ranges, so that layers cannot rest between each other's sites.
 SPACING = 1.0
-# The same for a barrier: any point of a triangle lies within spacing/sqrt(3) of a site, so sheets that touch have
-# two sites within twice that, which is made the core.
+# The same for a barrier: any point of a triangle lies within spacing/sqrt(3) of a site, so sheets that touch
+# have two sites within twice that, which is made the core.
 BARRIER_SPACING = 0.5
 # The core of the barrier in spacings; 2/sqrt(3) covers the sheet, and the rest is room for stretching.
 CORE = 1.05 * 2.0 / np.sqrt(3.0)
@@ -190,7 +190,9 @@ class Contact(eqx.Module):
 
         return jax.vmap(jax.grad(slope))(distance)
 
-    def _listed(self, x: Array, function: Callable[["_Pairs"], Array], nothing: Array, shares=SHARES) -> Array:
+    def _listed(
+        self, x: Array, function: Callable[["_Pairs"], Array], nothing: Array, shares=SHARES
+    ) -> Array:
         """`function` of the pairs in the list; NaN where it does not hold."""
         near = self.near
 
@@ -232,7 +234,8 @@ class Contact(eqx.Module):
         return by_size(near.site_count, room, head, nothing)
 
     def sharpest(self, theta: Array) -> Array:
-        """Largest turn in rad of a fold that the candidates leave out, where hinges have angles `theta` (h,)."""
+        """Largest turn in rad of a fold that the candidates leave out, where hinges have angles `theta`
+        (h,)."""
         return jnp.max(jnp.where(self.candidates.folded, 0.0, self.fans.turning(theta)), initial=0.0)
 
     def crosses(self, start: Array, end: Array) -> Array:
@@ -290,11 +293,11 @@ def build_contact(mesh: Mesh, constants: ModelConstants, options: SelfContact) -
         weights=jnp.asarray(sites.weights),
         share=jnp.asarray(sites.share),
         density=jnp.asarray(mesh.face_area / (np.sqrt(3.0) / 2.0 * sigma**2)),
-        stiffness=np.mean(constants.ks),
-        range=sigma,
+        stiffness=as_float(np.mean(constants.ks)),
+        range=as_float(sigma),
         core=as_float(core) if barrier else None,
-        stride=float(mesh.edge_length.mean()),
-        calm=0.5 * (CALM * float(mesh.hinge_height.min()) - sigma),
+        stride=as_float(mesh.edge_length.mean()),
+        calm=as_float(0.5 * (CALM * mesh.hinge_height.min() - sigma)),
         fans=fans,
         candidates=no_candidates(mesh.n_nodes, len(fans.triangles)),
         near=no_neighbors(mesh.n_nodes),

@@ -1,8 +1,8 @@
 """The part of the tangent that contact adds: 3x3 blocks between the nodes of two triangles that touch.
 
-It comes and goes, so it is kept beside the sheet's own pattern, as a list of pairs of triangles. The blocks of a
-triangle's own nodes have a place in the sheet's pattern already. A direct solver needs all in one matrix,
-whose structure `Merger` makes on the host for a list of candidates.
+It comes and goes, so it is kept beside the sheet's own pattern, as a list of pairs of triangles. The blocks
+of a triangle's own nodes have a place in the sheet's pattern already. A direct solver needs all in one
+matrix, whose structure `Merger` makes on the host for a list of candidates.
 """
 
 import equinox as eqx
@@ -16,7 +16,7 @@ from jaxcrumple.model.stencil import upper_pairs
 
 # Node pairs of two triangles, as `Contact.blocks` orders them: within a triangle, and from one to the other.
 LOCAL = np.array(upper_pairs(6))
-OWN = [np.flatnonzero(np.all(LOCAL // 3 == side, axis=1)) for side in range(2)]
+OWN = [np.flatnonzero(np.all(side == LOCAL // 3, axis=1)) for side in range(2)]
 CROSS = np.flatnonzero(LOCAL[:, 0] // 3 < LOCAL[:, 1] // 3)
 # Numbers that a pair of triangles adds to the tangent's values.
 SIZE = 9 * len(CROSS)
@@ -25,8 +25,8 @@ SIZE = 9 * len(CROSS)
 class Merged(eqx.Module):
     """Sheet and contact in one matrix of compressed sparse rows.
 
-    `indptr` (3n+1,), `indices` (room,), of which those beyond the last row are never read; `place` (nnz,) of the
-    sheet's own entries; `cross` (c, 81): entries of the blocks of each candidate, room where dropped.
+    `indptr` (3n+1,), `indices` (room,), of which those beyond the last row are never read; `place` (nnz,) of
+    the sheet's own entries; `cross` (c, 81): entries of the blocks of each candidate, room where dropped.
     """
 
     indptr: Array
@@ -39,7 +39,8 @@ class Cross(eqx.Module):
     """Blocks between touching triangles.
 
     - `face_entries` (f, 6, 3, 3): the pattern's entries of the blocks of a triangle's own nodes.
-    - `triangles` (t, 2), `nodes` (t, 6); `candidate` (t,): place among the candidates; the first `count` valid.
+    - `triangles` (t, 2), `nodes` (t, 6); `candidate` (t,): place among the candidates; the first `count`
+      valid.
     - `merged`: the whole matrix, or None where no direct solver needs it.
     """
 

@@ -23,8 +23,8 @@ ADVANCES = 64
 def crosses(contact: "Contact", start: Array, end: Array) -> Array:
     """Whether parts of the sheet might touch while nodes go straight from `start` to `end` (n, 3).
 
-    Never wrong where they do; the lists must hold for both. Of two triangles that share a node, the parts that
-    do not are looked at.
+    Never wrong where they do; the lists must hold for both. Of two triangles that share a node, the parts
+    that do not are looked at.
     """
     near = contact.near
     first, second = contact.faces[near.triangles[:, 0]], contact.faces[near.triangles[:, 1]]
@@ -73,7 +73,9 @@ def touches(corners: Corners, steps: Corners, shared: Array, range: Array, asked
         return jnp.any(t < 1.0) & (count < ADVANCES)
 
     zero = jnp.zeros_like(speed)
-    t, _, touched, _ = jax.lax.while_loop(unfinished, body, (zero, zero, jnp.zeros_like(asked), jnp.asarray(0)))
+    t, _, touched, _ = jax.lax.while_loop(
+        unfinished, body, (zero, zero, jnp.zeros_like(asked), jnp.asarray(0))
+    )
     return touched | (asked & (t < 1.0))
 
 

@@ -1,5 +1,7 @@
 """Triangles that share a node, and the hinges that must fold for them to meet."""
 
+import itertools
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -7,11 +9,10 @@ from jax import Array
 
 from jaxcrumple.mesh import Mesh
 
-
 # Two sites on triangles that share a node come nearer than half of their distance at rest only if the sheet
-# between them turns by 120 degrees: a polygon's chord is at least its length times the cosine of half its turning
-# (Schur), and the rest is room for stretching. Folds are listed from LISTED_TURN on; those that are not
-# must not pass MOST_TURN, and a new list is due before.
+# between them turns by 120 degrees: a polygon's chord is at least its length times the cosine of half its
+# turning (Schur), and the rest is room for stretching. Folds are listed from LISTED_TURN on; those that are
+# not must not pass MOST_TURN, and a new list is due before.
 LISTED_TURN, DUE_TURN, MOST_TURN = np.deg2rad([80.0, 95.0, 115.0])
 
 
@@ -44,12 +45,12 @@ def build_fans(mesh: Mesh) -> Fans:
                 ways = [fan[i : j + 1]]
                 between = [sum(angles[i + 1 : j])]
                 if closed:
-                    ways.append((fan[j:] + fan[: i + 1]))
+                    ways.append(fan[j:] + fan[: i + 1])
                     between.append(turn - angles[i] - angles[j] - between[0])
                 for way, angle in zip(ways, between, strict=True):
                     if angle < np.pi or not closed:
                         pairs.append((min(fan[i], fan[j]), max(fan[i], fan[j])))
-                        crossed.append(tuple(hinge_of[a, b] for a, b in zip(way, way[1:], strict=False)))
+                        crossed.append(tuple(hinge_of[a, b] for a, b in itertools.pairwise(way)))
     width = max(map(len, crossed), default=1)
     hinges = np.full((len(crossed), width), len(mesh.hinges))
     for row, way in zip(hinges, crossed, strict=True):

@@ -16,8 +16,8 @@ def by_size(
 ) -> Any:
     """`function(length)` for the shortest of a few lengths that holds `count` entries of a list with `room`.
 
-    `shares`: what parts of the room these lengths are; each is compiled. Where there are none it is `nothing`, which must have the same structure. Unlike a loop it can be
-    differentiated in both modes.
+    `shares`: what parts of the room these lengths are; each is compiled. Where there are none it is
+    `nothing`, which must have the same structure. Unlike a loop it can be differentiated in both modes.
     """
     sizes = sorted({max(room // share, 1) for share in shares})
     index = jnp.sum(count > jnp.asarray([0, *sizes[:-1]]))

@@ -1,10 +1,11 @@
-"""Who meets whom: candidate pairs of triangles, and the pairs of sites among them, as lists that hold for a while.
+"""Who meets whom: candidate pairs of triangles, and the pairs of sites among them, as lists that hold for a
+while.
 
-Two tiers. `Candidates` are pairs of triangles that may come within the contact range while no node moves further
-than its reach. `Near`, refreshed inside a compiled program, are those that may do so while no node moves
-further than its slack, which is less, with their pairs of sites. Motion counts from the positions at which a list
-was made, less the mean motion of the sheet, which changes no distance. Lists are ordered and what does
-not interact adds exact zeros, so results do not depend on when a list was made.
+Two tiers. `Candidates` are pairs of triangles that may come within the contact range while no node moves
+further than its reach. `Near`, refreshed inside a compiled program, are those that may do so while no node
+moves further than its slack, which is less, with their pairs of sites. Motion counts from the positions at
+which a list was made, less the mean motion of the sheet, which changes no distance. Lists are ordered and
+what does not interact adds exact zeros, so results do not depend on when a list was made.
 """
 
 from collections.abc import Callable
@@ -97,6 +98,9 @@ class Room(NamedTuple):
     pairs: int = 1
 
 
+SMALLEST = Room()
+
+
 def motion(start: Array, end: Array) -> Array:
     """Distance (n,) that each node moved, less the mean motion."""
     moved = end - start
@@ -110,7 +114,7 @@ def no_candidates(n: int, ways: int) -> Candidates:
     return Candidates(triangles, jnp.asarray(0), jnp.full((n, 3), jnp.nan), jnp.zeros(n), folded)
 
 
-def no_neighbors(n: int, room: Room = Room()) -> Near:
+def no_neighbors(n: int, room: Room = SMALLEST) -> Near:
     """A list that holds nowhere."""
     t, p, zero = room.triangles, room.pairs, jnp.asarray(0)
     return Near(
@@ -121,8 +125,8 @@ def no_neighbors(n: int, room: Room = Room()) -> Near:
 
 
 def slack_for(contact: "Contact", x: Array, ahead: Array) -> Array:
-    """Slack (n,) of a list made at `x` for steps that go to `ahead` (n, 3): for a few of them, or for one where
-    that is far."""
+    """Slack (n,) of a list made at `x` for steps that go to `ahead` (n, 3): for a few of them, or for one
+    where that is far."""
     moved = motion(x, ahead)
     few = jnp.minimum(SEVERAL * moved, jnp.maximum(ONE * moved, 2.0 * SLACK * contact.range))
     return SLACK * contact.range + few
@@ -192,8 +196,8 @@ def _distances(x: Array, first: Array, second: Array) -> tuple[Array, Array]:
 def _compact(test: Callable[[Array], Array], count: Array, width: int, size: int, rows: int):
     """Places row * width + column where `test` holds, in order, 0 beyond, and how many there are.
 
-    `test` takes row numbers (k,) and returns (k, `width`) of a table whose first `count` rows count. It is called
-    for `rows` at a time, as often as there are such, so that room costs nothing.
+    `test` takes row numbers (k,) and returns (k, `width`) of a table whose first `count` rows count. It is
+    called for `rows` at a time, as often as there are such, so that room costs nothing.
     """
 
     def body(carry):
@@ -247,7 +251,8 @@ def _unit(a: Vec) -> Vec:
 
 
 def _squared(lattice: Array, x: Array, one: Array, weights: Array, two: Array) -> Array:
-    """Squared distances (m, s) of a site with `weights` (m, 3) in the triangle `one` (m, 3) from all sites of `two`.
+    """Squared distances (m, s) of a site with `weights` (m, 3) in the triangle `one` (m, 3) from all sites of
+    `two`.
 
     They are quadratic in a site's two coordinates: a product of matrices.
     """

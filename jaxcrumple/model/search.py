@@ -26,10 +26,12 @@ class Search:
         self.sharing = pairs[:, 0].astype(np.int64) * len(self.faces) + pairs[:, 1]
 
     def find(self, x: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pairs of triangles that may come within the range while no node of `x` (n, 3) moves further than its
+        """Pairs of triangles that may come within the range while no node of `x` (n, 3) moves further than
+        its
         `reach` (n,), and no other fold gets sharper than `Fans` allow.
 
-        **Returns:** the pairs (c, 2), sorted, and which of the ways of `Fans` (w,) are folded enough to count.
+        **Returns:** the pairs (c, 2), sorted, and which of the ways of `Fans` (w,) are folded enough to
+        count.
         """
         folded = self._folded(x)
         pairs = self.fan_triangles[folded].astype(np.int64)

@@ -6,6 +6,7 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from jaxcrumple.model.contact import Potential
 from jaxcrumple.scenes.arch import arch
 from jaxcrumple.scenes.cap import cap
 from jaxcrumple.scenes.radial import Setup, radial
@@ -36,6 +37,9 @@ class RadialOptions(BaseModel):
     imperfection: float = Field(25e-6, ge=0)
     sweeps: int = Field(100, ge=0)
     damping: Literal["central", "paper"] = "central"
+    contact: Potential | None = "penalty"
+    contact_range: float | None = Field(None, gt=0, allow_inf_nan=False)
+    contact_level: int | None = Field(None, ge=0, le=200)
 
 
 class SnapOptions(BaseModel):

@@ -10,6 +10,7 @@ from jaxcrumple.material import Material
 from jaxcrumple.mesh import Mesh
 from jaxcrumple.meshgen import rectangle
 from jaxcrumple.model.confinement import Ramp, Sphere
+from jaxcrumple.model.contact import Potential, SelfContact
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.scene import Scene, sheet
 
@@ -35,13 +36,18 @@ def radial(
     imperfection: float = 25e-6,
     sweeps: int = 100,
     damping: str = "central",
+    contact: Potential | None = "penalty",
+    contact_range: float | None = None,
+    contact_level: int | None = None,
     material: Material | None = None,
 ) -> Setup:
     """A square sheet of edge `size` in a sphere that shrinks at `speed`.
 
     **Arguments:** `nodes` of the random mesh made with `seed` and `sweeps` Lloyd sweeps; `size`,
     `radius` in m; `speed` in m/s; `imperfection`: largest height in m of a smooth, stress-free
-    initial shape; `damping`: "central" or "paper"; `material`: default `Material()`.
+    initial shape; `damping`: "central" or "paper"; `contact`: "penalty", "barrier", or None for a phantom
+    sheet, which passes through itself, with `contact_range` and `contact_level` as in `SelfContact`;
+    `material`: default `Material()`.
     """
     for name, value in (("size", size), ("radius", radius), ("speed", speed)):
         if not (np.isfinite(value) and value > 0):
@@ -57,7 +63,8 @@ def radial(
     height = smooth_imperfection(flat.vertices[:, :2], size, imperfection, seed)
     mesh = flat.with_rest_shape(flat.vertices + height[:, None] * np.array([0.0, 0.0, 1.0]))
     wall = Sphere(jnp.zeros(3), Ramp(as_float(radius), as_float(-speed)))
-    scene = sheet(mesh, material or Material(), walls=[wall], damping=damping)
+    touching = None if contact is None else SelfContact(contact, contact_range, contact_level)
+    scene = sheet(mesh, material or Material(), walls=[wall], damping=damping, contact=touching)
     return Setup(mesh, scene, jnp.asarray(mesh.vertices))
 
 

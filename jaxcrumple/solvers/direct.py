@@ -109,7 +109,8 @@ def _structure(pattern: Pattern) -> tuple[Array, Array]:
     merged = pattern.contact.merged
     if merged is None:
         raise ValueError(
-            "the direct solver needs the lists of contact: scene = jaxcrumple.with_contacts(scene, x) makes them."
+            "the direct solver needs the lists of contact: scene = jaxcrumple.with_contacts(scene, x) makes "
+            "them."
         )
     return merged.indptr, merged.indices
 

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from jaxcrumple.model.bending import stop_derivatives
 from jaxcrumple.model.fields import as_float
@@ -76,7 +77,7 @@ class Attempt(NamedTuple):
         return self.cause < 0
 
 
-def stability_limit(scene: Scene, x: Array, t: Array | float = 0.0) -> Array:
+def stability_limit(scene: Scene, x: Array, t: ArrayLike = 0.0) -> Array:
     """Largest stable explicit step in s at positions `x` and time `t`, from element-wise eigenvalue bounds.
 
     For a spring $(\\hat r\\cdot(u_i - u_j))^2 \\le 2(\\hat r\\cdot u_i)^2 + 2(\\hat r\\cdot u_j)^2$, and
@@ -109,7 +110,7 @@ def largest_eigenvalue(a: Array) -> Array:
     return mean + 2.0 * size * jnp.cos(angle)
 
 
-def _stiffness_bound(scene: Scene, x: Array, t: Array | float) -> Array:
+def _stiffness_bound(scene: Scene, x: Array, t: ArrayLike) -> Array:
     """Node blocks (n, 3, 3) in N/m whose largest eigenvalue over m bounds omega^2."""
     bound = jnp.zeros((x.shape[0], 3, 3))
     xi, xj = gather(x, scene.membrane.nodes)
@@ -126,7 +127,7 @@ def _stiffness_bound(scene: Scene, x: Array, t: Array | float) -> Array:
         block = stiffness * outer(g, g)
         bound = bound.at[scene.bending.nodes[:, k]].add(jnp.moveaxis(block, -1, 0))
     for wall in scene.walls:
-        bound = bound + wall.stiffness_bound(x, t)[:, None, None] * jnp.eye(3)
+        bound = bound + wall.stiffness_bound(x, jnp.asarray(t))[:, None, None] * jnp.eye(3)
     if scene.contact is not None:
         bound = bound + scene.contact.stiffness_bound(x)[:, None, None] * jnp.eye(3)
     return bound

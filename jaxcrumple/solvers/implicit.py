@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxcrumple.model.scene import Scene
-from jaxcrumple.solvers.lists import passes
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
+from jaxcrumple.solvers.lists import passes
 from jaxcrumple.solvers.newton import NewtonSolution
 from jaxcrumple.system import CAUSES, IMPLICIT, State
 

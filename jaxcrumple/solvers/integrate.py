@@ -336,9 +336,7 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop, solver: Integrator, stag
     if scene.contact is not None:
         wanted = wanted * largest_move(scene, state.x, state.x + wanted * state.v)
     if scene.contact is None:
-        return _explicit_attempt(
-            scene, carry._replace(state=state), t_stop, solver, wanted, stages, fresh
-        )
+        return _explicit_attempt(scene, carry._replace(state=state), t_stop, solver, wanted, stages, fresh)
     ahead = state.x + LOOK_AHEAD * wanted * state.v
     ahead = state.x + largest_move(scene, state.x, ahead) * (ahead - state.x)
     state, lists, ready = ready_for(scene, state, carry.lists, ahead)

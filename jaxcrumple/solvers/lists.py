@@ -1,4 +1,5 @@
-"""Keeping the lists of contact valid while a run goes on, and refusing steps that would pass through something."""
+"""Keeping the lists of contact valid while a run goes on, and refusing steps that would pass through
+something."""
 
 from typing import NamedTuple
 
@@ -14,8 +15,8 @@ from jaxcrumple.system import Listing, State
 
 # Share of what a list allows for that a predicted step may use.
 USED = 0.9
-# Reach of a new list of candidates: ranges, and steps like the next one; it need not be more than lets a flat sheet
-# have no candidates, but is FEWEST steps at least.
+# Reach of a new list of candidates: ranges, and steps like the next one; it need not be more than lets a flat
+# sheet have no candidates, but is FEWEST steps at least.
 REACH, STEPS, FEWEST = 0.35, 32.0, 2.0
 
 
@@ -67,7 +68,9 @@ def largest_move(scene: Scene, x: Array, ahead: Array) -> Array:
     return jnp.minimum(scene.contact.stride / jnp.maximum(moved, 1e-300), 1.0)
 
 
-def ready_for(scene: Scene, state: State, lists: Lists | None, ahead: Array) -> tuple[State, Lists | None, Array]:
+def ready_for(
+    scene: Scene, state: State, lists: Lists | None, ahead: Array
+) -> tuple[State, Lists | None, Array]:
     """Whether the lists hold for a step from the state to `ahead` (n, 3); where not, what is due before."""
     contact, listing = scene.contact, state.listing
     if contact is None or listing is None or lists is None:

@@ -1,0 +1,49 @@
+"""Where a sheet passes through itself: edges that pierce triangles, found by a tree on the host."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+
+
+def intersections(x: ArrayLike, faces: ArrayLike, edges: ArrayLike) -> np.ndarray:
+    """Edges that pierce a triangle with which they share no node.
+
+    Where two triangles intersect, an edge of one pierces the other. An edge that only touches a plane from
+    one side does not count.
+
+    **Arguments:** `x` (n, 3) positions in m; `faces` (f, 3), `edges` (e, 2) node numbers.
+
+    **Returns:** (k, 2) rows of `edges` and of `faces`.
+    """
+    x, faces, edges = np.asarray(x, float), np.asarray(faces), np.asarray(edges)
+    pairs = _close(x, faces, edges)
+    ends, corners = edges[pairs[:, 0]], faces[pairs[:, 1]]
+    apart = ~np.any(ends[:, :, None] == corners[:, None], axis=(1, 2))
+    pairs, ends, corners = pairs[apart], ends[apart], corners[apart]
+    return pairs[_pierces(x[ends], x[corners])]
+
+
+def _close(x: np.ndarray, faces: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Pairs (m, 2) of an edge and a triangle whose bounding boxes overlap."""
+    corners, ends = x[faces], x[edges]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    first, last = ends.min(axis=1), ends.max(axis=1)
+    center, middle = 0.5 * (low + high), 0.5 * (first + last)
+    reach = 0.5 * (np.linalg.norm(high - low, axis=1).max() + np.linalg.norm(last - first, axis=1).max())
+    near = cKDTree(middle).sparse_distance_matrix(cKDTree(center), reach, output_type="ndarray")
+    edge, face = near["i"], near["j"]
+    overlap = np.all((low[face] <= last[edge]) & (first[edge] <= high[face]), axis=1)
+    return np.stack([edge[overlap], face[overlap]], axis=1)
+
+
+def _pierces(ends: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Whether segments (m, 2, 3) pass through triangles (m, 3, 3), by the signs of five volumes."""
+    start, end = ends[:, 0], ends[:, 1]
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+
+    def volume(p: np.ndarray, q: np.ndarray, r: np.ndarray, s: np.ndarray) -> np.ndarray:
+        return np.einsum("ij,ij->i", np.cross(q - p, r - p), s - p)
+
+    sides = volume(a, b, c, start) * volume(a, b, c, end) < 0
+    around = np.stack([volume(start, end, a, b), volume(start, end, b, c), volume(start, end, c, a)])
+    return sides & (np.all(around >= 0, axis=0) | np.all(around <= 0, axis=0))
