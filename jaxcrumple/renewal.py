@@ -44,17 +44,17 @@ class Renewal:
         """Scene and state for the next call of `integrate`, where the last one stopped for a list."""
         listing = state.listing
         assert listing is not None and scene.contact is not None
-        full = np.asarray(listing.overflow)
-        if not (bool(listing.stale) or full.any()):
+        needed = np.asarray(listing.needed)
+        if not (bool(listing.stale) or needed.any()):
             return scene, state
         start = time.perf_counter()
-        if full.any():
-            scene = self.grown(scene, full)
+        if needed.any():
+            scene = self.grown(scene, needed)
         if bool(listing.stale):
             scene = self.searched(scene, listing)
         self.seconds += time.perf_counter() - start
         no = jnp.asarray(False)
-        served = Listing(listing.x, listing.reach, no, jnp.broadcast_to(no, 3))
+        served = Listing(listing.x, listing.reach, no, jnp.zeros(3, int))
         return scene, eqx.tree_at(lambda s: s.listing, state, served)
 
     def first(self, scene: Scene, state: State) -> tuple[Scene, State]:
@@ -62,9 +62,9 @@ class Renewal:
         stale = eqx.tree_at(lambda s: s.listing.stale, state, jnp.asarray(True))
         return self(_with_room(scene, self.room), stale)
 
-    def grown(self, scene: Scene, full: np.ndarray) -> Scene:
-        """The scene with twice the room in the lists that are `full` (3,)."""
-        self.room = Room(*(2 * size if over else size for size, over in zip(self.room, full, strict=True)))
+    def grown(self, scene: Scene, needed: np.ndarray) -> Scene:
+        """The scene with room for `needed` (3,), each doubled until that fits."""
+        self.room = Room(*map(_doubled, self.room, needed))
         return _with_room(scene, self.room)
 
     def searched(self, scene: Scene, listing: Listing) -> Scene:
@@ -72,8 +72,7 @@ class Renewal:
         assert scene.contact is not None and scene.pattern.contact is not None
         self.searches += 1
         pairs, folded = self.search.find(np.asarray(listing.x), np.asarray(listing.reach))
-        while len(pairs) > self.candidates:
-            self.candidates *= 2
+        self.candidates = _doubled(self.candidates, len(pairs))
         triangles = np.zeros((self.candidates, 2), np.int32)
         triangles[: len(pairs)] = pairs
         found = Candidates(
@@ -86,6 +85,13 @@ class Renewal:
         return eqx.tree_at(
             lambda s: s.pattern.contact.merged, scene, merged, is_leaf=lambda leaf: leaf is None
         )
+
+
+def _doubled(size: int, needed: int) -> int:
+    """The size, doubled as often as it takes to be `needed`."""
+    while size < needed:
+        size *= 2
+    return size
 
 
 def _with_room(scene: Scene, room: Room) -> Scene:
@@ -120,7 +126,6 @@ def with_contacts(scene: Scene, x: ArrayLike) -> Scene:
     while True:
         assert scene.contact is not None
         near = _find_near(scene.contact, listing.x, slack)
-        full = np.asarray(near.overflow)
-        if not full.any():
+        if not np.any(near.overflow):
             return with_near(scene, near)
-        scene = renewal.grown(scene, full)
+        scene = renewal.grown(scene, np.asarray(near.needed))

@@ -87,14 +87,14 @@ CAUSES = ("error", "newton", "unstable", "fold", "nonfinite", "contact")
 class Listing(eqx.Module):
     """From where the candidates for contact are searched for, so that a saved state finds the same ones.
 
-    `x` (n, 3) m and `reach` (n,) m as in `Candidates`; `stale`: a new search is due; `overflow` (3,): which
+    `x` (n, 3) m and `reach` (n,) m as in `Candidates`; `stale`: a new search is due; `needed` (3,): what
     of the lists in `Near` were too short for the next step.
     """
 
     x: Array
     reach: Array
     stale: Array
-    overflow: Array
+    needed: Array
 
 
 class State(eqx.Module):
@@ -162,7 +162,7 @@ def first_listing(contact: Contact, x: Array) -> Listing:
     """Where a run that starts at positions `x` (n, 3) searches."""
     no = jnp.asarray(False)
     reach = jnp.maximum(contact.calm, SLACK * contact.range)
-    return Listing(x, jnp.broadcast_to(reach, x.shape[0]), ~no, jnp.broadcast_to(no, 3))
+    return Listing(x, jnp.broadcast_to(reach, x.shape[0]), ~no, jnp.zeros(3, int))
 
 
 def check_state(scene: Scene, state: State) -> None:

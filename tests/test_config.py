@@ -20,7 +20,10 @@ REFUSED = [
     ({"settings": ["thicknes=1e-4"]}, "'thicknes' is unknown; did you mean 'thickness'\\?$"),
     ({"settings": ["swich_up=1"]}, "did you mean 'switch_up'\\?$"),
     ({"settings": ["frame=3"]}, "did you mean 'frames'\\?$"),
-    ({"settings": ["zzz=1"]}, "'zzz' is unknown; choose one of damping, density, .*, young_modulus\\.$"),
+    (
+        {"settings": ["zzz=1"]},
+        "'zzz' is unknown; choose one of contact, .*damping, density, .*, young_modulus\\.$",
+    ),
     ({"settings": {"nodez": 3}}, "'nodez' is unknown"),
     ({"settings": ["thickness"]}, "'thickness' must read key=value, e.g. thickness=1e-4"),
     ({"settings": ["=3"]}, "'=3' must read key=value"),

@@ -39,7 +39,7 @@ CORE = 1.05 * 2.0 / np.sqrt(3.0)
 # The largest core in ranges: what is left is where the barrier rises.
 WIDEST_CORE = 0.75
 # Room for motion that a bound of the stiffness leaves: distances are taken to be this much of what they are.
-CLOSER = 0.95
+CLOSER = 0.98
 # Share of the lowest triangle's height that separates triangles without a common node in a flat sheet.
 CALM = 0.8
 

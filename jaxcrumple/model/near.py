@@ -63,7 +63,7 @@ class Near(eqx.Module):
       `strength` (P,): area of the one site times area of the other, over $a_0^2$, 0 beyond the
       `site_count` valid ones; `owner` (P,): place in `triangles`.
     - `x` (n, 3), `slack` (n,): where the list was made, and how far nodes may move.
-    - `overflow` (3,): whether pairs of triangles, sites at a triangle, or pairs of sites did not fit.
+    - `needed` (3,): as `Room`, at least; the list holds nowhere where that is more than there is.
     """
 
     pairs: Array
@@ -77,8 +77,13 @@ class Near(eqx.Module):
     site_count: Array
     x: Array
     slack: Array
-    overflow: Array
+    needed: Array
     site_room: int = eqx.field(static=True)
+
+    @property
+    def overflow(self) -> Array:
+        """Which (3,) of the sizes were too small."""
+        return self.needed > jnp.asarray(self.room)
 
     @property
     def room(self) -> "Room":
@@ -120,7 +125,7 @@ def no_neighbors(n: int, room: Room = SMALLEST) -> Near:
     return Near(
         jnp.zeros(t, jnp.int32), jnp.zeros((t, 2), jnp.int32), jnp.zeros(t), zero,
         jnp.zeros((p, 6), jnp.int32), jnp.zeros((p, 6)), jnp.zeros(p), jnp.zeros(p, jnp.int32), zero,
-        jnp.full((n, 3), jnp.nan), jnp.zeros(n), jnp.zeros(3, bool), room.sites,
+        jnp.full((n, 3), jnp.nan), jnp.zeros(n), jnp.zeros(3, int), room.sites,
     )  # fmt: skip
 
 
@@ -180,7 +185,7 @@ def find_near(contact: "Contact", x: Array, slack: Array) -> Near:
         site_count=total,
         x=x,
         slack=slack,
-        overflow=jnp.stack([pair_count > room.triangles, found_count > room.sites, total > room.pairs]),
+        needed=jnp.stack([pair_count, found_count, total]),
         site_room=room.sites,
     )
 

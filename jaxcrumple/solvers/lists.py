@@ -35,15 +35,15 @@ def start_lists(scene: Scene, state: State) -> tuple[State, Lists | None]:
     if contact is None or listing is None:
         return state, None
     known = contact.candidates.made_for(listing.x, listing.reach)
-    no = jnp.zeros(3, bool)
-    state = eqx.tree_at(lambda s: s.listing, state, Listing(listing.x, listing.reach, ~known, no))
+    none = jnp.zeros(3, int)
+    state = eqx.tree_at(lambda s: s.listing, state, Listing(listing.x, listing.reach, ~known, none))
     return state, Lists(contact.near, slack_for(contact, state.x, state.x), jnp.asarray(True))
 
 
 def waits(state: State) -> Array:
     """Whether the state waits for a search or for longer lists."""
     listing = state.listing
-    return jnp.asarray(False) if listing is None else listing.stale | jnp.any(listing.overflow)
+    return jnp.asarray(False) if listing is None else listing.stale | jnp.any(listing.needed > 0)
 
 
 def listed(scene: Scene, lists: Lists | None) -> Scene:
@@ -57,7 +57,7 @@ def renewed(scene: Scene, state: State, lists: Lists | None) -> tuple[State, Lis
     if contact is None or listing is None or lists is None:
         return state, None
     near = jax.lax.cond(lists.due, lambda: find_near(contact, state.x, lists.slack), lambda: lists.near)
-    full = eqx.tree_at(lambda s: s.listing.overflow, state, near.overflow)
+    full = eqx.tree_at(lambda s: s.listing.needed, state, jnp.where(near.overflow, near.needed, 0))
     return full, Lists(near, lists.slack, jnp.asarray(False))
 
 
@@ -84,7 +84,7 @@ def ready_for(
     least = REACH * contact.range + FEWEST * moved
     reach = jnp.minimum(reach, jnp.maximum(contact.calm, least))
     wanted = Listing(
-        jnp.where(stale, state.x, listing.x), jnp.where(stale, reach, listing.reach), stale, listing.overflow
+        jnp.where(stale, state.x, listing.x), jnp.where(stale, reach, listing.reach), stale, listing.needed
     )
     held = jnp.all(motion(near.x, ahead) <= USED * near.slack)
     slack = jnp.where(held, lists.slack, slack_for(contact, state.x, ahead))
