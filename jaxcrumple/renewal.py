@@ -17,7 +17,7 @@ from jaxcrumple.system import Listing, State, first_listing
 _find_near = eqx.filter_jit(find_near)
 # First room of the lists: for each node, pairs of triangles that may meet, those near, sites there, and
 # pairs.
-ROOM_PER_NODE = (2.0, 0.5, 32.0, 32.0)
+ROOM_PER_NODE = (2.0, 1.0, 32.0, 128.0)
 # and those of the smallest sheets.
 SMALLEST_ROOM = 1000
 

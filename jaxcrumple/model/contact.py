@@ -125,7 +125,7 @@ class Contact(eqx.Module):
             _, distance = _separation(pairs, x)
             return jnp.sum(pairs.strength * self._potential(distance))
 
-        return self._listed(x, some, jnp.zeros((), x.dtype), (8, 1))
+        return self._listed(x, some, jnp.zeros((), x.dtype), (32, 1))
 
     def force(self, x: Array) -> Array:
         """Nodal forces (n, 3) in N, (27)-(28); NaN where the list of pairs does not hold."""
@@ -173,7 +173,7 @@ class Contact(eqx.Module):
 
     def gaps(self, x: Array) -> tuple[Array, Array]:
         """Smallest distance in m of two interacting sites (infinite if none), and how many there are."""
-        pairs = _Pairs(self.near.nodes, self.near.weights, self.near.strength, self.near.owner)
+        pairs = self._pairs(self.near.picked, self.near.site_count)
         _, distance = _separation(pairs, x)
         active = (pairs.strength > 0) & (distance < self.range)
         return jnp.min(jnp.where(active, distance, jnp.inf)), jnp.sum(active)
@@ -197,41 +197,49 @@ class Contact(eqx.Module):
         near = self.near
 
         def head(size: int) -> Array:
-            pairs = near.nodes[:size], near.weights[:size], near.strength[:size], near.owner[:size]
-            return function(_Pairs(*pairs))
+            return function(self._pairs(near.picked[:size], near.site_count))
 
-        value = by_size(near.site_count, near.strength.shape[0], head, nothing, shares)
+        value = by_size(near.site_count, near.picked.shape[0], head, nothing, shares)
         return jnp.where(self.covers(x), value, jnp.nan)
 
     def _touching(self, x: Array, function: Callable[["_Pairs"], Array], nothing: Array) -> Array:
         """The same of the pairs within the range only, for functions that cost more than to pick these."""
-        place, count = self._active(x)
+        picked, count = self._active(x)
 
         def head(size: int) -> Array:
-            at = place[:size]
-            held = jnp.arange(size) < count
-            near, none = self.near, self.near.triangles.shape[0]
-            strength = jnp.where(held, near.strength[at], 0.0)
-            owner = jnp.where(held, near.owner[at], none)
-            return function(_Pairs(near.nodes[at], near.weights[at], strength, owner))
+            return function(self._pairs(picked[:size], count))
 
-        return jnp.where(self.covers(x), by_size(count, place.shape[0], head, nothing), jnp.nan)
+        return jnp.where(self.covers(x), by_size(count, picked.shape[0], head, nothing), jnp.nan)
 
     def _active(self, x: Array) -> tuple[Array, Array]:
-        """Places (P,) in the list of the pairs of sites that are within the range, and how many there are."""
-        near, room = self.near, self.near.strength.shape[0]
+        """The pairs of sites (P,) that are within the range, as in the list, and how many there are."""
+        near, room = self.near, self.near.picked.shape[0]
 
         def head(size: int) -> tuple[Array, Array]:
-            pairs = _Pairs(near.nodes[:size], near.weights[:size], near.strength[:size], near.owner[:size])
+            picked = near.picked[:size]
+            pairs = self._pairs(picked, near.site_count)
             _, distance = _separation(pairs, x)
             close = (distance < self.range) & (pairs.strength > 0)
             order = jnp.cumsum(close)
             place = jnp.where(close, order - 1, room)
-            found = jnp.arange(size, dtype=jnp.int32)
-            return jnp.zeros(room, jnp.int32).at[place].set(found, mode="drop"), order[-1]
+            return jnp.zeros(room, jnp.int32).at[place].set(picked, mode="drop"), order[-1]
 
         nothing = (jnp.zeros(room, jnp.int32), jnp.asarray(0))
         return by_size(near.site_count, room, head, nothing)
+
+    def _pairs(self, picked: Array, count: Array) -> "_Pairs":
+        """The first pairs of a list (p,) of which `count` are valid."""
+        near, sites = self.near, self.weights.shape[0]
+        held = jnp.arange(picked.shape[0]) < count
+        found, other = near.found[picked // sites], picked % sites
+        owner, site = found // sites, found % sites
+        triangles = near.triangles[owner]
+        nodes = self.faces[triangles].reshape(-1, 6)
+        weights = jnp.concatenate([self.weights[site], -self.weights[other]], axis=1)
+        areas = self.density[triangles]
+        strength = self.share[site] * areas[:, 0] * self.share[other] * areas[:, 1]
+        owner = jnp.where(held, owner, near.triangles.shape[0])
+        return _Pairs(nodes, weights, jnp.where(held, strength, 0.0), owner)
 
     def sharpest(self, theta: Array) -> Array:
         """Largest turn in rad of a fold that the candidates leave out, where hinges have angles `theta`
@@ -248,6 +256,9 @@ class Contact(eqx.Module):
 
 
 class _Pairs(NamedTuple):
+    """Pairs of sites: `nodes` (p, 6) of their triangles and their `weights` in $r_{12}$, `strength`: the
+    product of their areas over $a_0^2$, 0 where there is no pair, and `owner`: place in `Near.triangles`."""
+
     nodes: Array
     weights: Array
     strength: Array

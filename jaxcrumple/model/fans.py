@@ -33,7 +33,10 @@ class Fans(eqx.Module):
 
 
 def build_fans(mesh: Mesh) -> Fans:
-    """All ways of less than half a turn around every node, and those across an open side."""
+    """All ways around every node; one of half a turn or more, which no straight line takes, crosses nothing.
+
+    Meshes of the same connectivity have fans of the same size.
+    """
     corner_angle = _corner_angles(mesh)
     hinge_of = _hinge_table(mesh)
     pairs: list[tuple[int, int]] = []
@@ -48,10 +51,12 @@ def build_fans(mesh: Mesh) -> Fans:
                     ways.append(fan[j:] + fan[: i + 1])
                     between.append(turn - angles[i] - angles[j] - between[0])
                 for way, angle in zip(ways, between, strict=True):
-                    if angle < np.pi or not closed:
-                        pairs.append((min(fan[i], fan[j]), max(fan[i], fan[j])))
-                        crossed.append(tuple(hinge_of[a, b] for a, b in itertools.pairwise(way)))
-    width = max(map(len, crossed), default=1)
+                    straight = angle < np.pi or not closed
+                    pairs.append((min(fan[i], fan[j]), max(fan[i], fan[j])))
+                    crossed.append(
+                        tuple(hinge_of[a, b] for a, b in itertools.pairwise(way)) if straight else ()
+                    )
+    width = max(len(fan) for fan, _, _ in _fans(mesh, corner_angle))
     hinges = np.full((len(crossed), width), len(mesh.hinges))
     for row, way in zip(hinges, crossed, strict=True):
         row[: len(way)] = way

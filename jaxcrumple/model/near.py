@@ -59,9 +59,9 @@ class Near(eqx.Module):
 
     - `pairs` (T,): their triangles' place among the candidates; `triangles` (T, 2); `distance` (T,) m
       between the parts of the two that share no node; the first `pair_count` are valid.
-    - `nodes` (P, 6), `weights` (P, 6): corners of the two triangles and what they weigh in $r_{12}$;
-      `strength` (P,): area of the one site times area of the other, over $a_0^2$, 0 beyond the
-      `site_count` valid ones; `owner` (P,): place in `triangles`.
+    - `found` (K,): sites of the first triangle that lie near the second, as place in `triangles` * s + site.
+    - `picked` (P,): pairs of sites, as place in `found` * s + site of the second triangle; the first
+      `site_count` are valid.
     - `x` (n, 3), `slack` (n,): where the list was made, and how far nodes may move.
     - `needed` (3,): as `Room`, at least; the list holds nowhere where that is more than there is.
     """
@@ -70,15 +70,12 @@ class Near(eqx.Module):
     triangles: Array
     distance: Array
     pair_count: Array
-    nodes: Array
-    weights: Array
-    strength: Array
-    owner: Array
+    found: Array
+    picked: Array
     site_count: Array
     x: Array
     slack: Array
     needed: Array
-    site_room: int = eqx.field(static=True)
 
     @property
     def overflow(self) -> Array:
@@ -88,7 +85,7 @@ class Near(eqx.Module):
     @property
     def room(self) -> "Room":
         """The sizes of the list."""
-        return Room(self.pairs.shape[0], self.site_room, self.strength.shape[0])
+        return Room(self.pairs.shape[0], self.found.shape[0], self.picked.shape[0])
 
     def covers(self, x: Array) -> Array:
         """Whether no node is further away than its slack, and all pairs fitted."""
@@ -121,11 +118,11 @@ def no_candidates(n: int, ways: int) -> Candidates:
 
 def no_neighbors(n: int, room: Room = SMALLEST) -> Near:
     """A list that holds nowhere."""
-    t, p, zero = room.triangles, room.pairs, jnp.asarray(0)
+    t, zero = room.triangles, jnp.asarray(0)
     return Near(
         jnp.zeros(t, jnp.int32), jnp.zeros((t, 2), jnp.int32), jnp.zeros(t), zero,
-        jnp.zeros((p, 6), jnp.int32), jnp.zeros((p, 6)), jnp.zeros(p), jnp.zeros(p, jnp.int32), zero,
-        jnp.full((n, 3), jnp.nan), jnp.zeros(n), jnp.zeros(3, int), room.sites,
+        jnp.zeros(room.sites, jnp.int32), jnp.zeros(room.pairs, jnp.int32), zero,
+        jnp.full((n, 3), jnp.nan), jnp.zeros(n), jnp.zeros(3, int),
     )  # fmt: skip
 
 
@@ -168,25 +165,17 @@ def find_near(contact: "Contact", x: Array, slack: Array) -> Near:
         return near & (apart >= (EXCLUSION * contact.range) ** 2)
 
     picked, total = _compact(sites_close, found_count, count, room.pairs, rows)
-    row, other = picked // count, picked % count
-    triangles = candidates.triangles[pairs]
-    areas = contact.density[triangles[owner[row]]]
-    strength = contact.share[site[row]] * areas[:, 0] * contact.share[other] * areas[:, 1]
-    held = jnp.arange(room.pairs) < total
     return Near(
         pairs=pairs,
-        triangles=triangles,
+        triangles=candidates.triangles[pairs],
         distance=_fill(lambda at: _distances(x, first[at], second[at])[1], pair_count, room.triangles),
         pair_count=pair_count,
-        nodes=jnp.concatenate([first[owner[row]], second[owner[row]]], axis=1),
-        weights=jnp.concatenate([contact.weights[site[row]], -contact.weights[other]], axis=1),
-        strength=jnp.where(held, strength, 0.0),
-        owner=jnp.where(held, owner[row], room.triangles).astype(jnp.int32),
+        found=found,
+        picked=picked,
         site_count=total,
         x=x,
         slack=slack,
         needed=jnp.stack([pair_count, found_count, total]),
-        site_room=room.sites,
     )
 
 

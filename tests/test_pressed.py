@@ -1,0 +1,111 @@
+"""Layers that are pressed, crushed and thrown upon one another: scenes in which penalty contact usually
+fails."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from folded import folded, strip
+
+import jaxcrumple as jc
+from jaxcrumple.measure import count_intersections, edge_strain
+
+SIGMA, THICKNESS, DENSITY, G = 0.5e-3, 0.3e-3, 1000.0, 9.81
+UP = np.array([0.0, 0.0, 1.0])
+FAR = 1.0
+
+
+def scene(mesh, floor=-FAR, ceiling=FAR, gravity=0.0, sinks=0.0, drag=1e3):
+    """A self-avoiding elastic sheet between two planes in m, of which the upper one sinks, in m/s.
+
+    All scenes have the same terms, so that one program serves them.
+    """
+    material = jc.Material(thickness=THICKNESS, density=DENSITY, yield_curvature=None, drag_rate=drag)
+    walls = [jc.Plane(UP, floor), jc.Plane(-UP, jc.Ramp(-ceiling, sinks))]
+    contact = jc.SelfContact(range=SIGMA, level=5)
+    return jc.sheet(mesh, material, walls=walls, gravity=(0.0, 0.0, -gravity), contact=contact)
+
+
+def ran(sheet, x, times, v=None, **options):
+    """A run that must succeed without the sheet passing through itself in any frame."""
+    return jc.simulate(sheet, jc.initial_state(sheet, x, v), times, **options)
+
+
+def sound(mesh, solution):
+    """Whether a run succeeded and no frame intersects."""
+    return solution.result == "success" and all(count_intersections(mesh, x) == 0 for x in solution.x)
+
+
+def upper(mesh):
+    """Nodes of the upper layer of a folded strip."""
+    return mesh.vertices[:, 0] > 0
+
+
+def test_two_layers_under_a_thousand_weights_bear_them_by_pressure():
+    mesh = strip(0.9 * SIGMA)
+    x = folded(mesh, 0.9 * SIGMA)
+    load = 1000.0 * G
+    sheet = scene(mesh, floor=x[:, 2].min() - 0.6 * THICKNESS, gravity=load)
+    solution = ran(sheet, x, np.array([0.01, 0.02, 0.03]))
+    assert sound(mesh, solution)
+    end = jnp.asarray(solution.x[-1])
+    force = np.asarray(jc.with_contacts(sheet, end).contact.force(end))
+    # The contact bears the upper layer but for what the crease carries.
+    weight = float(np.sum(np.asarray(sheet.mass)[upper(mesh)])) * load
+    assert force[upper(mesh), 2].sum() == pytest.approx(weight, rel=0.1)
+    inner = upper(mesh) & (mesh.vertices[:, 0] > 3e-3) & (mesh.vertices[:, 0] < 7e-3)
+    gap = np.median(end[inner, 2]) - np.median(end[~upper(mesh) & (mesh.vertices[:, 0] < -3e-3), 2])
+    assert 0.8 * SIGMA < gap < SIGMA
+
+
+def test_a_fold_pressed_to_its_range_opens_again():
+    mesh = strip(2.0 * SIGMA)
+    x = folded(mesh, 2.0 * SIGMA)
+    middle = 2.0 * SIGMA / 2.0
+    down, up = 0.02, 0.06
+    # The planes' own range is the thickness; they close to one contact range and a little less of each of
+    # theirs.
+    travel = 2.0 * SIGMA + 2.0 * 0.9 * THICKNESS - (SIGMA + 2.0 * 0.5 * THICKNESS)
+    closing = scene(mesh, -middle - 0.9 * THICKNESS, middle + 0.9 * THICKNESS, sinks=travel / down)
+    pressed = ran(closing, x, down)
+    assert sound(mesh, pressed)
+    assert np.ptp(pressed.x[-1][:, 2]) < 1.3 * SIGMA
+    opening = scene(mesh, -middle - 0.9 * THICKNESS, FAR)
+    state = jc.initial_state(opening, pressed.x[-1])
+    opened = jc.simulate(opening, state, up)
+    assert sound(mesh, opened)
+    # Elastic: it springs back to flat in the end, and is on its way.
+    assert np.ptp(opened.x[-1][:, 2]) > 2.0 * np.ptp(pressed.x[-1][:, 2])
+
+
+def test_a_fast_fold_does_not_pass_through_itself():
+    mesh = strip(4.0 * SIGMA)
+    x = folded(mesh, 4.0 * SIGMA)
+    v = np.where(upper(mesh)[:, None], -10.0 * UP, 0.0)
+    solution = ran(scene(mesh), x, np.linspace(0, 1e-3, 6)[1:], v)
+    assert sound(mesh, solution)
+    # The layers met, 1.5 mm apart at 10 m/s, and what was the upper one is still above.
+    inner = mesh.vertices[:, 0] > 6e-3
+    assert solution.history["contact"].max() > 0
+    assert np.all(solution.x[-1][inner, 2] > solution.x[-1][mesh.vertices[:, 0] < -6e-3, 2].min())
+
+
+def test_a_sheet_that_starts_in_contact_rests_or_parts():
+    mesh = strip(0.7 * SIGMA)
+    x = folded(mesh, 0.7 * SIGMA)
+    solution = ran(scene(mesh), x, 2e-3)
+    assert sound(mesh, solution)
+    assert solution.history["contact"].iloc[0] > solution.history["contact"].iloc[-1]
+    assert np.abs(edge_strain(mesh, solution.x[-1])).max() < 0.05
+
+
+def test_planes_that_leave_no_room_end_in_a_named_result():
+    mesh = strip(1.5 * SIGMA)
+    x = folded(mesh, 1.5 * SIGMA)
+    height = 1.5 * SIGMA / 2.0 + 0.9 * THICKNESS
+    crushed = scene(mesh, -height, height, sinks=0.1)
+    state = jc.initial_state(crushed, x)
+    solution = jc.simulate(crushed, state, 2.5 * height / 0.1, max_attempts=4000)
+    assert solution.result in ("blocked", "collapsed", "budget")
+    end = solution.state
+    assert count_intersections(mesh, end.x) == 0
+    assert all(float(wall.gap(end.x, end.t).min()) > 0 for wall in crushed.walls)
