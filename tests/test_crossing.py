@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from folded import folded, strip
 
 import jaxcrumple as jc
 from jaxcrumple.measure import count_intersections
@@ -103,12 +104,12 @@ def test_audit_finds_the_edges_and_the_triangles():
 
 
 def crossed_strip():
-    """A strip whose one end was pushed through the other, and a scene that would avoid that."""
-    mesh = jc.rectangle(0.03, 0.006, 90, seed=1, sweeps=10)
+    """A strip folded in half whose upper layer dips through the lower one, and a scene that would avoid
+    that."""
+    mesh = strip(1e-3)
     scene = jc.sheet(mesh, jc.Material(), contact=jc.SelfContact(range=1e-3))
-    angle = mesh.vertices[:, 0] / 0.0045
-    x = 0.0045 * np.stack([np.cos(angle), np.sin(angle), mesh.vertices[:, 1] / 0.0045], axis=1)
-    x[:, 0] += 0.02 * np.abs(mesh.vertices[:, 0]) * np.sign(mesh.vertices[:, 0])
+    x = folded(mesh, 1e-3)
+    x[:, 2] -= 0.3 * np.maximum(mesh.vertices[:, 0], 0.0)
     return mesh, scene, x
 
 

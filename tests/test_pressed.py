@@ -9,6 +9,9 @@ from folded import folded, strip
 import jaxcrumple as jc
 from jaxcrumple.measure import count_intersections, edge_strain
 
+# Each takes minutes still.
+pytestmark = pytest.mark.slow
+
 SIGMA, THICKNESS, DENSITY, G = 0.5e-3, 0.3e-3, 1000.0, 9.81
 UP = np.array([0.0, 0.0, 1.0])
 FAR = 1.0
@@ -21,7 +24,7 @@ def scene(mesh, floor=-FAR, ceiling=FAR, gravity=0.0, sinks=0.0, drag=1e3):
     """
     material = jc.Material(thickness=THICKNESS, density=DENSITY, yield_curvature=None, drag_rate=drag)
     walls = [jc.Plane(UP, floor), jc.Plane(-UP, jc.Ramp(-ceiling, sinks))]
-    contact = jc.SelfContact(range=SIGMA, level=5)
+    contact = jc.SelfContact(range=SIGMA, level=3)
     return jc.sheet(mesh, material, walls=walls, gravity=(0.0, 0.0, -gravity), contact=contact)
 
 

@@ -40,6 +40,8 @@ CORE = 1.05 * 2.0 / np.sqrt(3.0)
 WIDEST_CORE = 0.75
 # Room for motion that a bound of the stiffness leaves: distances are taken to be this much of what they are.
 CLOSER = 0.98
+# How far, in ranges, a node may move in a step, less the sheet's mean motion: lists for more hold too much.
+STRIDE = 2.0
 # Share of the lowest triangle's height that separates triangles without a common node in a flat sheet.
 CALM = 0.8
 
@@ -307,7 +309,7 @@ def build_contact(mesh: Mesh, constants: ModelConstants, options: SelfContact) -
         stiffness=as_float(np.mean(constants.ks)),
         range=as_float(sigma),
         core=as_float(core) if barrier else None,
-        stride=as_float(mesh.edge_length.mean()),
+        stride=as_float(STRIDE * sigma),
         calm=as_float(0.5 * (CALM * mesh.hinge_height.min() - sigma)),
         fans=fans,
         candidates=no_candidates(mesh.n_nodes, len(fans.triangles)),
