@@ -1,15 +1,13 @@
 """Renewing the lists of contact on the host: the search for candidates, and room for more where lists are
 full."""
 
-import time
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxcrumple.model.merger import Merger
-from jaxcrumple.model.near import SLACK, Candidates, Near, Room, find_near, no_neighbors
+from jaxcrumple.model.near import SLACK, Candidates, Room, find_near, no_neighbors
 from jaxcrumple.model.scene import Scene, with_near
 from jaxcrumple.model.search import Search
 from jaxcrumple.system import Listing, State, first_listing
@@ -26,7 +24,6 @@ class Renewal:
     """The lists of contact of one run.
 
     **Arguments:** `scene` with contact; `merged`: whether a direct solver needs the tangent in one matrix.
-    `searches` and `seconds` count what was spent.
     """
 
     def __init__(self, scene: Scene, merged: bool):
@@ -38,7 +35,6 @@ class Renewal:
         self.candidates = max(rooms[0], contact.candidates.triangles.shape[0])
         old = contact.near.room
         self.room = Room(*(max(new, before) for new, before in zip(rooms[1:], old, strict=True)))
-        self.searches, self.seconds = 0, 0.0
 
     def __call__(self, scene: Scene, state: State) -> tuple[Scene, State]:
         """Scene and state for the next call of `integrate`, where the last one stopped for a list."""
@@ -47,12 +43,10 @@ class Renewal:
         needed = np.asarray(listing.needed)
         if not (bool(listing.stale) or needed.any()):
             return scene, state
-        start = time.perf_counter()
         if needed.any():
             scene = self.grown(scene, needed)
         if bool(listing.stale):
             scene = self.searched(scene, listing)
-        self.seconds += time.perf_counter() - start
         no = jnp.asarray(False)
         served = Listing(listing.x, listing.reach, no, jnp.zeros(3, int))
         return scene, eqx.tree_at(lambda s: s.listing, state, served)
@@ -70,7 +64,6 @@ class Renewal:
     def searched(self, scene: Scene, listing: Listing) -> Scene:
         """The scene with the candidates of a listing."""
         assert scene.contact is not None and scene.pattern.contact is not None
-        self.searches += 1
         pairs, folded = self.search.find(np.asarray(listing.x), np.asarray(listing.reach))
         self.candidates = _doubled(self.candidates, len(pairs))
         triangles = np.zeros((self.candidates, 2), np.int32)
@@ -96,18 +89,7 @@ def _doubled(size: int, needed: int) -> int:
 
 def _with_room(scene: Scene, room: Room) -> Scene:
     """The scene with empty lists of other sizes."""
-    near: Near = no_neighbors(scene.n_nodes, room)
-    cross = scene.pattern.contact
-    assert cross is not None
-    count = room.triangles
-    empty = (jnp.zeros((count, 2), jnp.int32), jnp.zeros((count, 6), jnp.int32), jnp.zeros(count, jnp.int32))
-    return eqx.tree_at(
-        lambda s: (
-            s.contact.near, s.pattern.contact.triangles, s.pattern.contact.nodes, s.pattern.contact.candidate
-        ),
-        scene,
-        (near, *empty),
-    )  # fmt: skip
+    return with_near(scene, no_neighbors(scene.n_nodes, room))
 
 
 def with_contacts(scene: Scene, x: ArrayLike) -> Scene:

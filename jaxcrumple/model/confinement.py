@@ -20,14 +20,12 @@ from jaxcrumple.model.fields import as_float
 # behind the wall and come back. There a node is pushed with 832 k_w sigma; steps that end behind are
 # rejected.
 NEAREST = 0.98
-# Guards the distance to a centre or an axis, m^2: far below any length that matters here.
-TINY = 1e-30
-
-
 NEAREST_SLOPE = NEAREST**2 * (3.0 - 2.0 * NEAREST) / (3.0 * (1.0 - NEAREST) ** 2)
 NEAREST_CURVATURE = 2.0 * (1.0 / (1.0 - NEAREST) ** 3 - 1.0) / 3.0
 # Room for motion, in ranges, that a bound of the stiffness leaves.
 CLOSER = 0.05
+# Guards the distance to a centre or an axis, m^2: far below any length that matters here.
+TINY = 1e-30
 
 
 class Ramp(eqx.Module):

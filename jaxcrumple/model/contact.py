@@ -184,13 +184,10 @@ class Contact(eqx.Module):
         return pair_energy(distance, self.stiffness, self.range, self.core)
 
     def _slope(self, distance: Array) -> Array:
-        return jax.vmap(jax.grad(lambda r: pair_energy(r, self.stiffness, self.range, self.core)))(distance)
+        return jax.vmap(jax.grad(self._potential))(distance)
 
     def _stiffness(self, distance: Array) -> Array:
-        def slope(r: Array) -> Array:
-            return jax.grad(lambda s: pair_energy(s, self.stiffness, self.range, self.core))(r)
-
-        return jax.vmap(jax.grad(slope))(distance)
+        return jax.vmap(jax.grad(jax.grad(self._potential)))(distance)
 
     def _listed(
         self, x: Array, function: Callable[["_Pairs"], Array], nothing: Array, shares=SHARES

@@ -37,11 +37,11 @@ def build_fans(mesh: Mesh) -> Fans:
 
     Meshes of the same connectivity have fans of the same size.
     """
-    corner_angle = _corner_angles(mesh)
+    fans = list(_fans(mesh, _corner_angles(mesh)))
     hinge_of = _hinge_table(mesh)
     pairs: list[tuple[int, int]] = []
     crossed: list[tuple[int, ...]] = []
-    for fan, angles, closed in _fans(mesh, corner_angle):
+    for fan, angles, closed in fans:
         turn = sum(angles)
         for i in range(len(fan)):
             for j in range(i + 1, len(fan)):
@@ -56,7 +56,7 @@ def build_fans(mesh: Mesh) -> Fans:
                     crossed.append(
                         tuple(hinge_of[a, b] for a, b in itertools.pairwise(way)) if straight else ()
                     )
-    width = max(len(fan) for fan, _, _ in _fans(mesh, corner_angle))
+    width = max(len(fan) for fan, _, _ in fans)
     hinges = np.full((len(crossed), width), len(mesh.hinges))
     for row, way in zip(hinges, crossed, strict=True):
         row[: len(way)] = way
