@@ -8,21 +8,20 @@ equal to $\\sigma$ these are the paper's (26)-(28).
 """
 
 from collections.abc import Callable
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.ops import segment_sum
 
 from jaxcrumple.material import ModelConstants
 from jaxcrumple.mesh import Mesh
+from jaxcrumple.model.chunks import accumulate
 from jaxcrumple.model.crossing import crosses
 from jaxcrumple.model.fans import Fans, build_fans
 from jaxcrumple.model.fields import as_float
-from jaxcrumple.model.heads import SHARES, by_size
 from jaxcrumple.model.near import Candidates, Near, no_candidates, no_neighbors
 from jaxcrumple.model.stencil import upper_pairs
 
@@ -44,6 +43,8 @@ CLOSER = 0.98
 STRIDE = 2.0
 # Share of the lowest triangle's height that separates triangles without a common node in a flat sheet.
 CALM = 0.8
+# Pairs of sites that are looked at together: those in the list, and those that interact.
+LISTED, ACTIVE = 1024, 256
 
 
 def pair_energy(distance: Array, stiffness: Array, sigma: Array, core: Array | float | None = None) -> Array:
@@ -123,21 +124,21 @@ class Contact(eqx.Module):
     def energy(self, x: Array) -> Array:
         """Energy in J at positions `x` (n, 3); NaN where the list of pairs does not hold for them."""
 
-        def some(pairs: "_Pairs") -> Array:
+        def add(total: Array, contact: "Contact", x: Array, pairs: "_Pairs") -> Array:
             _, distance = _separation(pairs, x)
-            return jnp.sum(pairs.strength * self._potential(distance))
+            return total + jnp.sum(pairs.strength * contact._potential(distance))
 
-        return self._listed(x, some, jnp.zeros((), x.dtype), (32, 1))
+        return self._sum(x, add, jnp.zeros((), x.dtype))
 
     def force(self, x: Array) -> Array:
         """Nodal forces (n, 3) in N, (27)-(28); NaN where the list of pairs does not hold."""
 
-        def some(pairs: "_Pairs") -> Array:
+        def add(total: Array, contact: "Contact", x: Array, pairs: "_Pairs") -> Array:
             r, distance = _separation(pairs, x)
-            push = (-pairs.strength * self._slope(distance) / distance)[:, None] * r
-            return jnp.zeros_like(x).at[pairs.nodes].add(pairs.weights[:, :, None] * push[:, None])
+            push = (-pairs.strength * contact._slope(distance) / distance)[:, None] * r
+            return total.at[pairs.nodes].add(pairs.weights[:, :, None] * push[:, None])
 
-        return self._listed(x, some, jnp.zeros_like(x))
+        return self._sum(x, add, jnp.zeros_like(x))
 
     def blocks(self, x: Array) -> Array:
         """Hessians (T, 21, 3, 3) in N/m of the pairs of triangles in the list, as `upper_pairs(6)` orders
@@ -145,37 +146,35 @@ class Contact(eqx.Module):
         count, local = self.near.triangles.shape[0], np.array(upper_pairs(6))
         row, column = np.triu_indices(3)
 
-        def some(pairs: "_Pairs") -> Array:
+        def add(total: Array, contact: "Contact", x: Array, pairs: "_Pairs") -> Array:
             r, distance = _separation(pairs, x)
-            stiffness = pairs.strength * self._stiffness(distance)
-            tension = pairs.strength * self._slope(distance) / distance
+            stiffness = pairs.strength * contact._stiffness(distance)
+            tension = pairs.strength * contact._slope(distance) / distance
             direction = r / distance[:, None]
             along = direction[:, row] * direction[:, column]
             upper = (stiffness - tension)[:, None] * along + tension[:, None] * (row == column)
             both = pairs.weights[:, local[:, 0]] * pairs.weights[:, local[:, 1]]
-            products = (both[:, :, None] * upper[:, None, :]).reshape(-1, len(local) * 6)
-            return segment_sum(products, pairs.owner, count, indices_are_sorted=True)
+            return total.at[pairs.owner].add(both[:, :, None] * upper[:, None, :], mode="drop")
 
-        sums = self._touching(x, some, jnp.zeros((count, len(local) * 6), x.dtype))
         square = np.zeros((3, 3), int)
         square[row, column] = square[column, row] = np.arange(6)
-        return sums.reshape(count, len(local), 6)[:, :, square]
+        return self._sum(x, add, jnp.zeros((count, len(local), 6), x.dtype))[:, :, square]
 
     def stiffness_bound(self, x: Array) -> Array:
         """Numbers (n,) in N/m whose matrix bounds the Hessian, also a little closer than at `x`."""
 
-        def some(pairs: "_Pairs") -> Array:
+        def add(total: Array, contact: "Contact", x: Array, pairs: "_Pairs") -> Array:
             _, distance = _separation(pairs, x)
             closer = CLOSER * distance
-            most = jnp.maximum(jnp.abs(self._stiffness(closer)), jnp.abs(self._slope(closer) / closer))
+            most = jnp.maximum(jnp.abs(contact._stiffness(closer)), jnp.abs(contact._slope(closer) / closer))
             parts = 2.0 * jnp.abs(pairs.weights) * (pairs.strength * most)[:, None]
-            return jnp.zeros(x.shape[0], x.dtype).at[pairs.nodes].add(parts)
+            return total.at[pairs.nodes].add(parts)
 
-        return self._listed(x, some, jnp.zeros(x.shape[0], x.dtype), (1,))
+        return self._sum(x, add, jnp.zeros(x.shape[0], x.dtype))
 
     def gaps(self, x: Array) -> tuple[Array, Array]:
         """Smallest distance in m of two interacting sites (infinite if none), and how many there are."""
-        pairs = self._pairs(self.near.picked, self.near.site_count)
+        pairs = self._pairs(self.near.picked, jnp.arange(self.near.picked.shape[0]) < self.near.site_count)
         _, distance = _separation(pairs, x)
         active = (pairs.strength > 0) & (distance < self.range)
         return jnp.min(jnp.where(active, distance, jnp.inf)), jnp.sum(active)
@@ -189,47 +188,38 @@ class Contact(eqx.Module):
     def _stiffness(self, distance: Array) -> Array:
         return jax.vmap(jax.grad(jax.grad(self._potential)))(distance)
 
-    def _listed(
-        self, x: Array, function: Callable[["_Pairs"], Array], nothing: Array, shares=SHARES
-    ) -> Array:
-        """`function` of the pairs in the list; NaN where it does not hold."""
-        near = self.near
+    def _sum(self, x: Array, add: Callable[[Any, "Contact", Array, "_Pairs"], Any], nothing: Array) -> Array:
+        """`nothing` with what the pairs near enough add; NaN where the list does not hold."""
+        places, count = self._active(x)
 
-        def head(size: int) -> Array:
-            return function(self._pairs(near.picked[:size], near.site_count))
+        def add_at(total: Any, arguments: tuple["Contact", Array, Array, Array], at: Array) -> Any:
+            contact, x, places, count = arguments
+            picked = contact.near.picked[places[at]]
+            return add(total, contact, x, contact._pairs(picked, at < count))
 
-        value = by_size(near.site_count, near.picked.shape[0], head, nothing, shares)
+        value = accumulate(add_at, nothing, (self, x, places, count), count, places.shape[0], ACTIVE)
         return jnp.where(self.covers(x), value, jnp.nan)
 
-    def _touching(self, x: Array, function: Callable[["_Pairs"], Array], nothing: Array) -> Array:
-        """The same of the pairs within the range only, for functions that cost more than to pick these."""
-        picked, count = self._active(x)
-
-        def head(size: int) -> Array:
-            return function(self._pairs(picked[:size], count))
-
-        return jnp.where(self.covers(x), by_size(count, picked.shape[0], head, nothing), jnp.nan)
-
     def _active(self, x: Array) -> tuple[Array, Array]:
-        """The pairs of sites (P,) that are within the range, as in the list, and how many there are."""
-        near, room = self.near, self.near.picked.shape[0]
+        """Places (P,) in the list of the pairs of sites in the range, or just beyond, and how many they are."""
+        room = self.near.picked.shape[0]
 
-        def head(size: int) -> tuple[Array, Array]:
-            picked = near.picked[:size]
-            pairs = self._pairs(picked, near.site_count)
+        def add(found: tuple[Array, Array], arguments: tuple["Contact", Array], at: Array):
+            (places, count), (contact, x) = found, arguments
+            pairs = contact._pairs(contact.near.picked[at], at < contact.near.site_count)
             _, distance = _separation(pairs, x)
-            close = (distance < self.range) & (pairs.strength > 0)
-            order = jnp.cumsum(close)
+            close = (CLOSER * distance < contact.range) & (pairs.strength > 0)
+            order = count + jnp.cumsum(close)
             place = jnp.where(close, order - 1, room)
-            return jnp.zeros(room, jnp.int32).at[place].set(picked, mode="drop"), order[-1]
+            return places.at[place].set(at.astype(jnp.int32), mode="drop"), order[-1]
 
         nothing = (jnp.zeros(room, jnp.int32), jnp.asarray(0))
-        return by_size(near.site_count, room, head, nothing)
+        still = jax.lax.stop_gradient((self, x))
+        return accumulate(add, nothing, still, self.near.site_count, room, LISTED)
 
-    def _pairs(self, picked: Array, count: Array) -> "_Pairs":
-        """The first pairs of a list (p,) of which `count` are valid."""
+    def _pairs(self, picked: Array, held: Array) -> "_Pairs":
+        """Pairs of sites (p,) as in `Near.picked`, of which those `held` (p,) are valid."""
         near, sites = self.near, self.weights.shape[0]
-        held = jnp.arange(picked.shape[0]) < count
         found, other = near.found[picked // sites], picked % sites
         owner, site = found // sites, found % sites
         triangles = near.triangles[owner]

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sparse
 from jax import Array
 
-from jaxcrumple.model.heads import by_size
+from jaxcrumple.model.chunks import accumulate
 from jaxcrumple.model.stencil import upper_pairs
 
 # Node pairs of two triangles, as `Contact.blocks` orders them: within a triangle, and from one to the other.
@@ -20,6 +20,8 @@ OWN = [np.flatnonzero(np.all(side == LOCAL // 3, axis=1)) for side in range(2)]
 CROSS = np.flatnonzero(LOCAL[:, 0] // 3 < LOCAL[:, 1] // 3)
 # Numbers that a pair of triangles adds to the tangent's values.
 SIZE = 9 * len(CROSS)
+# Pairs of triangles that are looked at together.
+CHUNK = 128
 
 
 class Merged(eqx.Module):
@@ -58,31 +60,32 @@ class Cross(eqx.Module):
 
     def assemble(self, values: Array, blocks: Array) -> Array:
         """Values (nnz,) of the sheet with those of `blocks` (t, 21, 3, 3) added and appended."""
+        room = self.triangles.shape[0]
 
-        def head(size: int) -> Array:
-            total = values
+        def add(total: Array, arguments: tuple["Cross", Array], at: Array) -> Array:
+            cross, blocks = arguments
             for side in range(2):
-                entries = self.face_entries[self.triangles[:size, side]]
-                total = total.at[entries].add(blocks[:size, OWN[side]], mode="drop")
-            appended = jnp.zeros(self.size, values.dtype)
-            appended = appended.at[: SIZE * size].set(blocks[:size, CROSS].reshape(-1))
-            return jnp.concatenate([total, appended])
+                entries = cross.face_entries[cross._held(cross.triangles, at)[:, side]]
+                total = total.at[entries].add(cross._held(blocks, at)[:, OWN[side]], mode="drop")
+            return total
 
-        nothing = jnp.concatenate([values, jnp.zeros(self.size, values.dtype)])
-        return by_size(self.count, self.triangles.shape[0], head, nothing)
+        total = accumulate(add, values, (self, blocks), self.count, room, CHUNK)
+        return jnp.concatenate([total, blocks[:, CROSS].reshape(-1)])
 
     def product(self, appended: Array, x: Array) -> Array:
         """Appended values (81 t,) times vector (3n,)."""
-        points = x.reshape(-1, 3)
 
-        def head(size: int) -> Array:
-            blocks = appended[: SIZE * size].reshape(-1, 3, 3, 3, 3)
-            one, two = self.nodes[:size, :3], self.nodes[:size, 3:]
+        def add(total: Array, arguments: tuple["Cross", Array, Array], at: Array) -> Array:
+            cross, blocks, points = arguments
+            blocks, nodes = cross._held(blocks, at), cross.nodes[at]
+            one, two = nodes[:, :3], nodes[:, 3:]
             first = jnp.einsum("tijab,tjb->tia", blocks, points[two])
             second = jnp.einsum("tijab,tia->tjb", blocks, points[one])
-            return jnp.zeros_like(points).at[one].add(first).at[two].add(second).reshape(-1)
+            return total.at[one].add(first).at[two].add(second)
 
-        return by_size(self.count, self.triangles.shape[0], head, jnp.zeros_like(x))
+        points, room = x.reshape(-1, 3), self.triangles.shape[0]
+        arguments = (self, appended.reshape(-1, 3, 3, 3, 3), points)
+        return accumulate(add, jnp.zeros_like(points), arguments, self.count, room, CHUNK).reshape(-1)
 
     def free(self, appended: Array, mask: Array) -> Array:
         """Appended values with rows and columns of components in `mask` (n, 3) set to zero."""
@@ -108,12 +111,19 @@ class Cross(eqx.Module):
         merged = self.merged
         values = jnp.zeros(merged.indices.shape[0], own.dtype).at[merged.place].set(own)
 
-        def head(size: int) -> Array:
-            twice = self.nodes[:size, :3, None] == self.nodes[:size, None, 3:]
+        def add(total: Array, arguments: tuple["Cross", Merged, Array], at: Array) -> Array:
+            cross, merged, blocks = arguments
+            nodes = cross.nodes[at]
+            twice = nodes[:, :3, None] == nodes[:, None, 3:]
             # A node that both triangles have is met from both sides.
             factor = jnp.where(twice, 2.0, 1.0)[..., None, None]
-            blocks = appended[: SIZE * size].reshape(-1, 3, 3, 3, 3) * factor
-            entries = merged.cross[self.candidate[:size]]
-            return values.at[entries].add(blocks.reshape(-1, SIZE), mode="drop")
+            entries = merged.cross[cross.candidate[at]]
+            return total.at[entries].add((cross._held(blocks, at) * factor).reshape(-1, SIZE), mode="drop")
 
-        return by_size(self.count, self.triangles.shape[0], head, values)
+        arguments = (self, merged, appended.reshape(-1, 3, 3, 3, 3))
+        return accumulate(add, values, arguments, self.count, self.triangles.shape[0], CHUNK)
+
+    def _held(self, values: Array, at: Array) -> Array:
+        """`values` (t, ...) at places (c,), zeros beyond the last pair."""
+        held = (at < self.count).reshape(-1, *[1] * (values.ndim - 1))
+        return jnp.where(held, values[at], jnp.zeros((), values.dtype))

@@ -1,0 +1,50 @@
+"""Lists that are mostly empty: what their entries add up to, a chunk at a time, so that room costs nothing."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+
+def accumulate(
+    add: Callable[[Any, Any, Array], Any], start: Any, arguments: Any, count: Array, room: int, chunk: int
+) -> Any:
+    """`start` with what the first `count` entries of a list with `room` add to it.
+
+    `add(total, arguments, places)` adds those at `places` (chunk,), of which the ones from `count` on must add
+    nothing; it closes over no number that is differentiated. The loop ends with the list; derivatives, of any
+    order and mode, come from one that has as many rounds as the list has room, and skips those beyond.
+    """
+    return _accumulate(start, arguments, count, add=add, room=room, chunk=min(chunk, room))
+
+
+@eqx.filter_custom_jvp
+def _accumulate(start: Any, arguments: Any, count: Array, *, add, room: int, chunk: int) -> Any:
+    def body(carry: tuple[Array, Any]) -> tuple[Array, Any]:
+        first, total = carry
+        return first + chunk, add(total, arguments, _places(first, room, chunk))
+
+    return jax.lax.while_loop(lambda carry: carry[0] < count, body, (jnp.zeros_like(count), start))[1]
+
+
+@_accumulate.def_jvp
+def _derivative(primals, tangents, *, add, room: int, chunk: int):
+    start, arguments, count = primals
+    moved, changed, _ = tangents
+
+    def whole(start: Any, arguments: Any) -> Any:
+        def body(total: Any, first: Array) -> tuple[Any, None]:
+            places = _places(first, room, chunk)
+            return jax.lax.cond(first < count, lambda: add(total, arguments, places), lambda: total), None
+
+        return jax.lax.scan(body, start, jnp.arange(0, room, chunk))[0]
+
+    return eqx.filter_jvp(whole, (start, arguments), (moved, changed))
+
+
+def _places(first: Array, room: int, chunk: int) -> Array:
+    """Places (chunk,) from `first` on; those beyond the list are its last one or lie beyond its `count`."""
+    return jnp.minimum(first + jnp.arange(chunk), room - 1)
