@@ -361,8 +361,13 @@ def _assemble(scene: Scene, x, t, edge_blocks, hinge_blocks, nodes) -> Array:
     for wall in scene.walls:
         nodes = nodes + wall.blocks(x, t)
     extra = [term.blocks(x, t) for term in scene.extra]
-    contact = None if scene.contact is None else scene.contact.blocks(x)
-    values = scene.pattern.assemble([edge_blocks, hinge_blocks, *extra], nodes, contact)
+    pattern = scene.pattern
+    blocks = pattern.assemble([edge_blocks, hinge_blocks, *extra], nodes)
+    if scene.contact is None or pattern.contact is None:
+        values = pattern.values(blocks)
+    else:
+        blocks, cross = scene.contact.add_tangent(x, blocks, pattern.contact.face_blocks)
+        values = jnp.concatenate([pattern.values(blocks), cross.reshape(-1)])
     return values if scene.prescribed is None else _eliminate(scene, scene.prescribed, values)
 
 

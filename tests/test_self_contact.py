@@ -102,6 +102,30 @@ def test_neighbours_at_rest_never_interact_on_a_sharp_fold(half):
     )
 
 
+def test_derivatives_of_the_force_in_both_modes_and_in_batches():
+    _, scene, x = layers()
+    contact = scene.contact
+    w = jnp.sin(jnp.arange(x.size) * 1.7).reshape(x.shape)
+
+    def work(stiffness, x):
+        return jnp.sum(w * eqx.tree_at(lambda c: c.stiffness, contact, stiffness).force(x))
+
+    def pushed(x):
+        return jnp.sum(w * jax.grad(contact.energy)(x))
+
+    by_stiffness, by_x = jax.grad(work, (0, 1))(contact.stiffness, x)
+    _, forward = jax.jvp(contact.force, (x,), (w,))
+    assert float(by_stiffness) == pytest.approx(float(work(1.0, x)), rel=1e-12)
+    # The Hessian is symmetric, so both modes give the same, as does that of the energy.
+    size = float(jnp.max(jnp.abs(forward)))
+    np.testing.assert_allclose(by_x, forward, rtol=0, atol=1e-12 * size)
+    np.testing.assert_allclose(jax.grad(pushed)(x), -forward, rtol=0, atol=1e-11 * size)
+    several = jnp.stack([x, x * (1.0 + 1e-6)])
+    each = [jax.grad(work, 1)(contact.stiffness, one) for one in several]
+    both = jax.vmap(jax.grad(work, 1), (None, 0))(contact.stiffness, several)
+    np.testing.assert_allclose(both, each, rtol=0, atol=1e-12 * size)
+
+
 def test_lists_that_do_not_hold_give_nan_not_zero():
     _, scene, x = layers()
     moved = x.at[0].add(2.0 * SIGMA)

@@ -140,25 +140,29 @@ class Contact(eqx.Module):
 
         return self._sum(x, add, jnp.zeros_like(x))
 
-    def blocks(self, x: Array) -> Array:
-        """Hessians (T, 21, 3, 3) in N/m of the pairs of triangles in the list, as `upper_pairs(6)` orders
-        their nodes, (A.10) with its sign put right."""
-        count, local = self.near.triangles.shape[0], np.array(upper_pairs(6))
-        row, column = np.triu_indices(3)
+    def add_tangent(self, x: Array, own: Array, face_blocks: Array) -> tuple[Array, Array]:
+        """The Hessian, (A.10) with its sign put right: added to the sheet's `own` blocks (b, 9), of which
+        `face_blocks` (f, 6) are those of a triangle's nodes; and blocks (T, 9, 9) from the nodes of one
+        triangle of each pair in the list to those of the other. In N/m."""
+        one, two = np.array(upper_pairs(3)).T
 
-        def add(total: Array, contact: "Contact", x: Array, pairs: "_Pairs") -> Array:
+        def add(total: tuple[Array, Array], contact: "Contact", x: Array, pairs: "_Pairs"):
+            own, cross = total
             r, distance = _separation(pairs, x)
-            stiffness = pairs.strength * contact._stiffness(distance)
             tension = pairs.strength * contact._slope(distance) / distance
             direction = r / distance[:, None]
-            along = direction[:, row] * direction[:, column]
-            upper = (stiffness - tension)[:, None] * along + tension[:, None] * (row == column)
-            both = pairs.weights[:, local[:, 0]] * pairs.weights[:, local[:, 1]]
-            return total.at[pairs.owner].add(both[:, :, None] * upper[:, None, :], mode="drop")
+            along = direction[:, :, None] * direction[:, None, :]
+            matrix = (pairs.strength * contact._stiffness(distance) - tension)[:, None, None] * along
+            matrix = (matrix + tension[:, None, None] * jnp.eye(3)).reshape(-1, 1, 9)
+            for side in range(2):
+                blocks = face_blocks[contact.near.triangles[pairs.owner, side]]
+                weights = pairs.weights[:, 3 * side : 3 * side + 3]
+                own = own.at[blocks].add((weights[:, one] * weights[:, two])[:, :, None] * matrix)
+            both = (pairs.weights[:, :3, None] * pairs.weights[:, None, 3:]).reshape(-1, 9, 1)
+            return own, cross.at[pairs.owner].add(both * matrix)
 
-        square = np.zeros((3, 3), int)
-        square[row, column] = square[column, row] = np.arange(6)
-        return self._sum(x, add, jnp.zeros((count, len(local), 6), x.dtype))[:, :, square]
+        cross = jnp.zeros((self.near.triangles.shape[0], 9, 9), x.dtype)
+        return self._sum(x, add, (own, cross))
 
     def stiffness_bound(self, x: Array) -> Array:
         """Numbers (n,) in N/m whose matrix bounds the Hessian, also a little closer than at `x`."""
@@ -188,7 +192,7 @@ class Contact(eqx.Module):
     def _stiffness(self, distance: Array) -> Array:
         return jax.vmap(jax.grad(jax.grad(self._potential)))(distance)
 
-    def _sum(self, x: Array, add: Callable[[Any, "Contact", Array, "_Pairs"], Any], nothing: Array) -> Array:
+    def _sum(self, x: Array, add: Callable[[Any, "Contact", Array, "_Pairs"], Any], nothing: Any) -> Any:
         """`nothing` with what the pairs near enough add; NaN where the list does not hold."""
         places, count = self._active(x)
 
@@ -198,7 +202,8 @@ class Contact(eqx.Module):
             return add(total, contact, x, contact._pairs(picked, at < count))
 
         value = accumulate(add_at, nothing, (self, x, places, count), count, places.shape[0], ACTIVE)
-        return jnp.where(self.covers(x), value, jnp.nan)
+        holds = self.covers(x)
+        return jax.tree.map(lambda total: jnp.where(holds, total, jnp.nan), value)
 
     def _active(self, x: Array) -> tuple[Array, Array]:
         """Places (P,) in the list of the pairs of sites in the range, or just beyond, and how many they are."""
@@ -227,7 +232,6 @@ class Contact(eqx.Module):
         weights = jnp.concatenate([self.weights[site], -self.weights[other]], axis=1)
         areas = self.density[triangles]
         strength = self.share[site] * areas[:, 0] * self.share[other] * areas[:, 1]
-        owner = jnp.where(held, owner, near.triangles.shape[0])
         return _Pairs(nodes, weights, jnp.where(held, strength, 0.0), owner)
 
     def sharpest(self, theta: Array) -> Array:

@@ -12,14 +12,9 @@ import scipy.sparse as sparse
 from jax import Array
 
 from jaxcrumple.model.chunks import accumulate
-from jaxcrumple.model.stencil import upper_pairs
 
-# Node pairs of two triangles, as `Contact.blocks` orders them: within a triangle, and from one to the other.
-LOCAL = np.array(upper_pairs(6))
-OWN = [np.flatnonzero(np.all(side == LOCAL // 3, axis=1)) for side in range(2)]
-CROSS = np.flatnonzero(LOCAL[:, 0] // 3 < LOCAL[:, 1] // 3)
-# Numbers that a pair of triangles adds to the tangent's values.
-SIZE = 9 * len(CROSS)
+# Numbers that a pair of triangles adds to the tangent's values: a block for each node of one and of the other.
+SIZE = 81
 # Pairs of triangles that are looked at together.
 CHUNK = 128
 
@@ -40,13 +35,13 @@ class Merged(eqx.Module):
 class Cross(eqx.Module):
     """Blocks between touching triangles.
 
-    - `face_entries` (f, 6, 3, 3): the pattern's entries of the blocks of a triangle's own nodes.
+    - `face_blocks` (f, 6): the pattern's blocks of a triangle's own nodes, as `upper_pairs(3)`.
     - `triangles` (t, 2), `nodes` (t, 6); `candidate` (t,): place among the candidates; the first `count`
       valid.
     - `merged`: the whole matrix, or None where no direct solver needs it.
     """
 
-    face_entries: Array
+    face_blocks: Array
     triangles: Array
     nodes: Array
     candidate: Array
@@ -57,20 +52,6 @@ class Cross(eqx.Module):
     def size(self) -> int:
         """Numbers that contact adds to the tangent's values."""
         return SIZE * self.triangles.shape[0]
-
-    def assemble(self, values: Array, blocks: Array) -> Array:
-        """Values (nnz,) of the sheet with those of `blocks` (t, 21, 3, 3) added and appended."""
-        room = self.triangles.shape[0]
-
-        def add(total: Array, arguments: tuple["Cross", Array], at: Array) -> Array:
-            cross, blocks = arguments
-            for side in range(2):
-                entries = cross.face_entries[cross._held(cross.triangles, at)[:, side]]
-                total = total.at[entries].add(cross._held(blocks, at)[:, OWN[side]], mode="drop")
-            return total
-
-        total = accumulate(add, values, (self, blocks), self.count, room, CHUNK)
-        return jnp.concatenate([total, blocks[:, CROSS].reshape(-1)])
 
     def product(self, appended: Array, x: Array) -> Array:
         """Appended values (81 t,) times vector (3n,)."""
@@ -84,14 +65,14 @@ class Cross(eqx.Module):
             return total.at[one].add(first).at[two].add(second)
 
         points, room = x.reshape(-1, 3), self.triangles.shape[0]
-        arguments = (self, appended.reshape(-1, 3, 3, 3, 3), points)
+        arguments = (self, _blocks(appended), points)
         return accumulate(add, jnp.zeros_like(points), arguments, self.count, room, CHUNK).reshape(-1)
 
     def free(self, appended: Array, mask: Array) -> Array:
         """Appended values with rows and columns of components in `mask` (n, 3) set to zero."""
         one, two = mask[self.nodes[:, :3]], mask[self.nodes[:, 3:]]
         fixed = one[:, :, None, :, None] | two[:, None, :, None, :]
-        return jnp.where(fixed, 0.0, appended.reshape(-1, 3, 3, 3, 3)).reshape(-1)
+        return jnp.where(fixed, 0.0, _blocks(appended)).reshape(-1)
 
     def upper(self, appended: np.ndarray, size: int) -> sparse.csr_array:
         """Appended values as the upper triangle of a matrix (size, size)."""
@@ -120,10 +101,15 @@ class Cross(eqx.Module):
             entries = merged.cross[cross.candidate[at]]
             return total.at[entries].add((cross._held(blocks, at) * factor).reshape(-1, SIZE), mode="drop")
 
-        arguments = (self, merged, appended.reshape(-1, 3, 3, 3, 3))
+        arguments = (self, merged, _blocks(appended))
         return accumulate(add, values, arguments, self.count, self.triangles.shape[0], CHUNK)
 
     def _held(self, values: Array, at: Array) -> Array:
         """`values` (t, ...) at places (c,), zeros beyond the last pair."""
         held = (at < self.count).reshape(-1, *[1] * (values.ndim - 1))
         return jnp.where(held, values[at], jnp.zeros((), values.dtype))
+
+
+def _blocks(appended: Array) -> Array:
+    """Appended values as blocks (t, 3, 3, 3, 3): pair of triangles, node of the one, of the other, components."""
+    return appended.reshape(-1, 3, 3, 3, 3)

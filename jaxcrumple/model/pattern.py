@@ -20,9 +20,10 @@ class Pattern(eqx.Module):
 
     - `indptr` (3n+1,), `indices` (nnz,), `rows` (nnz,): int32.
     - `diagonal` (3n,): entry of each diagonal element.
-    - `node_entries` (n, 3, 3): entry of each element of the nodes' own blocks.
-    - `element_entries`: one (pairs * 9 * m,) map per stencil, `nnz` where an element falls below the
-      diagonal and is dropped.
+    - `entry_places` (nnz,): where each entry lies among the 3x3 blocks on and above the diagonal (b, 9).
+    - `node_blocks` (n,): the nodes' own among these.
+    - `element_blocks`: one (pairs, m) map per stencil to the blocks of an element's node pairs, and
+      `element_flips` (pairs, m): whether a pair's first node is the one with the larger number.
     - `neighbors` (n, k): block columns of each node's row, both triangles, padded with the node itself.
     - `row_entries` (n, 3, 3k): entry of each element of these blocks, `nnz` where there is none.
     - `coarse`: a smooth coarse space over the nodes, for two-level solvers.
@@ -33,8 +34,10 @@ class Pattern(eqx.Module):
     indices: Array
     rows: Array
     diagonal: Array
-    node_entries: Array
-    element_entries: tuple[Array, ...]
+    entry_places: Array
+    node_blocks: Array
+    element_blocks: tuple[Array, ...]
+    element_flips: tuple[Array, ...]
     neighbors: Array
     row_entries: Array
     coarse: CoarseSpace
@@ -50,18 +53,22 @@ class Pattern(eqx.Module):
         """Length of the vector of values: those of the sheet, then those of contact."""
         return self.nnz + (0 if self.contact is None else self.contact.size)
 
-    def assemble(
-        self, element_blocks: Sequence[Array], node_blocks: Array, contact_blocks: Array | None = None
-    ) -> Array:
-        """Values (size,) from element blocks (pairs, 3, 3, m), one per stencil, node blocks (n, 3, 3), and
-        those of touching triangles (t, 21, 3, 3)."""
-        values = jnp.zeros(self.nnz, node_blocks.dtype)
-        values = values.at[self.node_entries].add(node_blocks, mode="drop")
-        for entries, blocks in zip(self.element_entries, element_blocks, strict=True):
-            values = values.at[entries].add(blocks.reshape(-1), mode="drop")
-        if self.contact is None or contact_blocks is None:
-            return values
-        return self.contact.assemble(values, contact_blocks)
+    def assemble(self, element_blocks: Sequence[Array], node_blocks: Array) -> Array:
+        """Blocks (b, 9) from those of elements (pairs, 3, 3, m), one per stencil, and of nodes (n, 3, 3)."""
+        n = self.node_blocks.shape[0]
+        total = jnp.zeros(((self.nnz + 3 * n) // 9, 9), node_blocks.dtype)
+        total = total.at[self.node_blocks].set(node_blocks.reshape(n, 9))
+        for places, flips, blocks in zip(
+            self.element_blocks, self.element_flips, element_blocks, strict=True
+        ):
+            turned = jnp.where(flips[:, None, None], jnp.swapaxes(blocks, 1, 2), blocks)
+            windows = jnp.moveaxis(turned, 3, 1).reshape(-1, 9)
+            total = total.at[places.reshape(-1)].add(windows)
+        return total
+
+    def values(self, blocks: Array) -> Array:
+        """Entries (nnz,) of the sheet's own blocks (b, 9)."""
+        return blocks.reshape(-1)[self.entry_places]
 
     def product(self, values: Array, x: Array) -> Array:
         """Symmetric matrix times vector (3n,)."""
@@ -104,16 +111,15 @@ def build_pattern(
     order = np.repeat(np.arange(3 * n), counts)
     indices = _column_indices(entries, block_col, indptr[-1])
 
-    def locate(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Entries (..., 3, 3) of block (a, b); what lies below the diagonal maps to nnz."""
-        block = np.searchsorted(keys, np.minimum(a, b).astype(np.int64) * n + np.maximum(a, b))
-        found = entries[block]
-        return np.where((a > b)[..., None, None], np.swapaxes(found, -1, -2), found)
+    def locate(pairs: np.ndarray) -> np.ndarray:
+        """Blocks (...) of node pairs (..., 2)."""
+        return np.searchsorted(keys, pairs.min(axis=-1).astype(np.int64) * n + pairs.max(axis=-1))
 
-    node = np.arange(n)
-    node_entries = locate(node, node)
-    maps = [_element_map(locate, p) for p in pairs]
-    diagonal = node_entries[:, np.arange(3), np.arange(3)].reshape(-1)
+    node_blocks = locate(own)
+    diagonal = entries[node_blocks][:, np.arange(3), np.arange(3)].reshape(-1)
+    kept = np.flatnonzero(entries.reshape(-1) < indptr[-1])
+    places = np.empty(indptr[-1], np.int64)
+    places[entries.reshape(-1)[kept]] = kept
 
     neighbors, row_entries = _rows(n, block_row, block_col, entries)
 
@@ -121,8 +127,9 @@ def build_pattern(
         return jnp.asarray(a.astype(np.int32))
 
     return Pattern(
-        device(indptr), device(indices), device(order), device(diagonal), device(node_entries),
-        tuple(device(m) for m in maps), device(neighbors), device(row_entries),
+        device(indptr), device(indices), device(order), device(diagonal), device(places), device(node_blocks),
+        tuple(device(locate(p)) for p in pairs), tuple(jnp.asarray(p[..., 0] > p[..., 1]) for p in pairs),
+        device(neighbors), device(row_entries),
         build_coarse_space(rest, np.stack([block_row, block_col], axis=1)),
         None if faces is None else _no_contact(locate, np.asarray(faces)),
     )  # fmt: skip
@@ -130,11 +137,10 @@ def build_pattern(
 
 def _no_contact(locate, faces: np.ndarray) -> Cross:
     """Contact of triangles none of which touches another."""
-    pairs = np.array(upper_pairs(3))
-    entries = locate(faces[:, pairs[:, 0]], faces[:, pairs[:, 1]])
+    blocks = locate(faces[:, np.array(upper_pairs(3))])
     none = jnp.zeros(1, jnp.int32)
     two, six = jnp.zeros((1, 2), jnp.int32), jnp.zeros((1, 6), jnp.int32)
-    return Cross(jnp.asarray(entries.astype(np.int32)), two, six, none, jnp.asarray(0), None)
+    return Cross(jnp.asarray(blocks.astype(np.int32)), two, six, none, jnp.asarray(0), None)
 
 
 def _global_pairs(stencil: np.ndarray) -> np.ndarray:
@@ -185,9 +191,3 @@ def _rows(
     row_entries = np.full((n, counts.max(), 3, 3), entries.max())
     row_entries[row, rank] = blocks
     return neighbors, np.moveaxis(row_entries, 2, 1).reshape(n, 3, -1)
-
-
-def _element_map(locate, pairs: np.ndarray) -> np.ndarray:
-    """Flat map for blocks (pairs, 3, 3, m); a pair of two local nodes adds to one triangle only."""
-    entries = locate(pairs[..., 0], pairs[..., 1])
-    return np.moveaxis(entries, 1, -1).reshape(-1)
