@@ -1,5 +1,7 @@
 """Candidate pairs of triangles by a tree on the host."""
 
+import itertools
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -75,22 +77,27 @@ def _tree_pairs(center: np.ndarray, radius: np.ndarray, room: np.ndarray, sigma:
     """Pairs (m, 2), first below second, whose balls of `radius` come within sigma and the room of both."""
     tree = cKDTree(center)
     common = np.quantile(room, 1.0 - FAST)
-    found = [tree.query_pairs(2.0 * radius.max() + sigma + 2.0 * common, output_type="ndarray")]
+    usual = 2.0 * radius.max() + sigma + 2.0 * common
+    pairs = [_apart(center, radius + room, sigma, tree.query_pairs(usual, output_type="ndarray").T, 0.0)]
     fast = np.flatnonzero(room > common)
     near = tree.query_ball_point(center[fast], radius[fast] + radius.max() + sigma + 2.0 * room[fast])
-    counts = np.fromiter(map(len, near), int, len(fast))
-    if counts.sum():
-        pairs = np.stack([np.repeat(fast, counts), np.concatenate(near).astype(np.int64)], axis=1)
-        pairs = pairs[pairs[:, 0] != pairs[:, 1]]
-        found.append(np.sort(pairs, axis=1))
-    pairs = np.concatenate(found).astype(np.int64)
-    if len(found) > 1:
-        keys = np.unique(pairs[:, 0] * len(center) + pairs[:, 1])
-        pairs = np.stack([keys // len(center), keys % len(center)], axis=1)
-    one, two = pairs.T
+    one = np.repeat(fast, np.fromiter(map(len, near), int, len(fast)))
+    two = np.fromiter(itertools.chain.from_iterable(near), int, len(one))
+    # Of two fast ones each finds the other.
+    once = (one < two) | (room[two] <= common)
+    one, two = np.minimum(one, two)[once], np.maximum(one, two)[once]
+    pairs.append(_apart(center, radius + room, sigma, (one, two), (1.0 - 1e-9) * usual))
+    return np.concatenate(pairs)
+
+
+def _apart(center: np.ndarray, size: np.ndarray, sigma: float, pairs, least: float) -> np.ndarray:
+    """Those of the `pairs` (2, m), as (k, 2), whose balls of `size` come within sigma, further than `least`
+    apart."""
+    one, two = (np.asarray(side, np.int64) for side in pairs)
     apart = center[one] - center[two]
-    allowed = sigma + (radius + room)[one] + (radius + room)[two]
-    return pairs[np.einsum("ij,ij->i", apart, apart) <= allowed * allowed]
+    squared = np.einsum("ij,ij->i", apart, apart)
+    close = (squared <= (sigma + size[one] + size[two]) ** 2) & (squared >= least * least)
+    return np.stack([one[close], two[close]], axis=1)
 
 
 def _box_gap(corners: np.ndarray, pairs: np.ndarray) -> np.ndarray:
