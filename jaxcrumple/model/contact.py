@@ -22,7 +22,7 @@ from jaxcrumple.model.chunks import accumulate
 from jaxcrumple.model.crossing import crosses
 from jaxcrumple.model.fans import Fans, build_fans
 from jaxcrumple.model.fields import as_float
-from jaxcrumple.model.near import Candidates, Near, no_candidates, no_neighbors
+from jaxcrumple.model.near import Candidates, Near, Tight, no_candidates, no_neighbors, whole
 from jaxcrumple.model.stencil import upper_pairs
 
 Potential = Literal["penalty", "barrier"]
@@ -104,7 +104,7 @@ class Contact(eqx.Module):
     - `stride` m: how far a node may move in a step, less the sheet's mean motion; `calm` m: reach of lists in
       which neighbours in a flat sheet do not appear.
     - `fans`: triangles that share a node, and the hinges between them.
-    - `candidates`, `near`: who may meet, and the pairs of sites that do; see `jaxcrumple.model.near`.
+    - `candidates`, `near`, `tight`: who may meet; see `jaxcrumple.model.near`.
     """
 
     faces: Array
@@ -120,6 +120,7 @@ class Contact(eqx.Module):
     fans: Fans
     candidates: Candidates
     near: Near
+    tight: Tight
 
     def energy(self, x: Array) -> Array:
         """Energy in J at positions `x` (n, 3); NaN where the list of pairs does not hold for them."""
@@ -194,33 +195,37 @@ class Contact(eqx.Module):
 
     def _sum(self, x: Array, add: Callable[[Any, "Contact", Array, "_Pairs"], Any], nothing: Any) -> Any:
         """`nothing` with what the pairs near enough add; NaN where the list does not hold."""
-        places, count = self._active(x)
+        picked, count = self._kept(self.tight, x, _interact, self.range)
 
         def add_at(total: Any, arguments: tuple["Contact", Array, Array, Array], at: Array) -> Any:
-            contact, x, places, count = arguments
-            picked = contact.near.picked[places[at]]
-            return add(total, contact, x, contact._pairs(picked, at < count))
+            contact, x, picked, count = arguments
+            return add(total, contact, x, contact._pairs(picked[at], at < count))
 
-        value = accumulate(add_at, nothing, (self, x, places, count), count, places.shape[0], ACTIVE)
+        value = accumulate(add_at, nothing, (self, x, picked, count), count, picked.shape[0], ACTIVE)
         holds = self.covers(x)
         return jax.tree.map(lambda total: jnp.where(holds, total, jnp.nan), value)
 
-    def _active(self, x: Array) -> tuple[Array, Array]:
-        """Places (P,) in the list of the pairs of sites in the range, or just beyond, and how many they are."""
-        room = self.near.picked.shape[0]
+    def tightened(self, x: Array, slack: Array) -> Tight:
+        """The pairs of sites that may interact while no node moves further than `slack` (n,) from `x` (n, 3),
+        out of those in `near`."""
+        limits = self.range, slack
+        return Tight(*self._kept(whole(self.near), x, _may_interact, limits), x, slack)
 
-        def add(found: tuple[Array, Array], arguments: tuple["Contact", Array], at: Array):
-            (places, count), (contact, x) = found, arguments
-            pairs = contact._pairs(contact.near.picked[at], at < contact.near.site_count)
-            _, distance = _separation(pairs, x)
-            close = (CLOSER * distance < contact.range) & (pairs.strength > 0)
+    def _kept(self, listed: Tight, x: Array, test: Callable[["_Pairs", Array, Any], Array], limits: Any):
+        """Those pairs of a list (P,) that pass a `test` of their distance (p,), and how many they are."""
+        room = listed.picked.shape[0]
+
+        def add(kept: tuple[Array, Array], arguments: tuple["Contact", Tight, Array, Any], at: Array):
+            (picked, count), (contact, listed, x, limits) = kept, arguments
+            pairs = contact._pairs(listed.picked[at], at < listed.count)
+            close = test(pairs, _separation(pairs, x)[1], limits) & (pairs.strength > 0)
             order = count + jnp.cumsum(close)
             place = jnp.where(close, order - 1, room)
-            return places.at[place].set(at.astype(jnp.int32), mode="drop"), order[-1]
+            return picked.at[place].set(listed.picked[at], mode="drop"), order[-1]
 
         nothing = (jnp.zeros(room, jnp.int32), jnp.asarray(0))
-        still = jax.lax.stop_gradient((self, x))
-        return accumulate(add, nothing, still, self.near.site_count, room, LISTED)
+        still = jax.lax.stop_gradient((self, listed, x, limits))
+        return accumulate(add, nothing, still, listed.count, room, LISTED)
 
     def _pairs(self, picked: Array, held: Array) -> "_Pairs":
         """Pairs of sites (p,) as in `Near.picked`, of which those `held` (p,) are valid."""
@@ -245,7 +250,7 @@ class Contact(eqx.Module):
 
     def covers(self, x: Array) -> Array:
         """Whether the lists hold for positions `x` (n, 3): no node moved further than they allow for."""
-        return self.candidates.covers(x) & self.near.covers(x)
+        return self.candidates.covers(x) & self.near.covers(x) & self.tight.covers(x)
 
 
 class _Pairs(NamedTuple):
@@ -256,6 +261,18 @@ class _Pairs(NamedTuple):
     weights: Array
     strength: Array
     owner: Array
+
+
+def _interact(pairs: _Pairs, distance: Array, range: Array) -> Array:
+    """Whether they do, or would just beyond the range."""
+    return CLOSER * distance < range
+
+
+def _may_interact(pairs: _Pairs, distance: Array, limits: tuple[Array, Array]) -> Array:
+    """Whether they may after motions up to a slack."""
+    range, slack = limits
+    moves = slack[pairs.nodes]
+    return distance <= range + jnp.max(moves[:, :3], axis=1) + jnp.max(moves[:, 3:], axis=1)
 
 
 def _separation(pairs: _Pairs, x: Array) -> tuple[Array, Array]:
@@ -290,7 +307,7 @@ def build_contact(mesh: Mesh, constants: ModelConstants, options: SelfContact) -
             f"contact level = {level} leaves sites too far apart for a barrier of range {sigma:.3g} m; "
             f"choose level {needed} or leave it out."
         )
-    sites, fans = build_sites(level), build_fans(mesh)
+    sites, fans, near = build_sites(level), build_fans(mesh), no_neighbors(mesh.n_nodes)
     return Contact(
         faces=jnp.asarray(mesh.faces, jnp.int32),
         rest=jnp.asarray(mesh.vertices),
@@ -304,5 +321,6 @@ def build_contact(mesh: Mesh, constants: ModelConstants, options: SelfContact) -
         calm=as_float(0.5 * (CALM * mesh.hinge_height.min() - sigma)),
         fans=fans,
         candidates=no_candidates(mesh.n_nodes, len(fans.triangles)),
-        near=no_neighbors(mesh.n_nodes),
+        near=near,
+        tight=whole(near),
     )

@@ -1,9 +1,10 @@
 """Who meets whom: candidate pairs of triangles, and the pairs of sites among them, as lists that hold for a
 while.
 
-Two tiers. `Candidates` are pairs of triangles that may come within the contact range while no node moves
+Three tiers. `Candidates` are pairs of triangles that may come within the contact range while no node moves
 further than its reach. `Near`, refreshed inside a compiled program, are those that may do so while no node
-moves further than its slack, which is less, with their pairs of sites. Motion counts from the positions at
+moves further than its slack, which is less, with their pairs of sites; `Tight` are those of the pairs of sites
+that may interact within the next step or two. Motion counts from the positions at
 which a list was made, less the mean motion of the sheet, which changes no distance. Lists are ordered and
 what does not interact adds exact zeros, so results do not depend on when a list was made.
 """
@@ -26,8 +27,8 @@ if TYPE_CHECKING:
 EXCLUSION = 2.0
 # Pairs of triangles, and of sites, that are looked at together while a list is made.
 PAIRS, SITES = 128, 4096
-# Smallest slack of a node, in ranges.
-SLACK = 0.25
+# Smallest slack of a node, in ranges, in a `Near` and in a `Tight`.
+SLACK, TIGHT_SLACK = 0.25, 0.1
 # Steps like the next one for which a list is made, and that step itself with some room.
 SEVERAL, ONE = 3.0, 1.2
 
@@ -92,6 +93,25 @@ class Near(eqx.Module):
         return jnp.all(motion(self.x, x) <= self.slack) & ~jnp.any(self.overflow)
 
 
+class Tight(eqx.Module):
+    """Pairs of sites out of a `Near`, `picked` (P,) as there, the first `count` of them valid, while no node moves
+    further than `slack` (n,) from `x` (n, 3)."""
+
+    picked: Array
+    count: Array
+    x: Array
+    slack: Array
+
+    def covers(self, x: Array) -> Array:
+        """Whether no node is further away than its slack."""
+        return jnp.all(motion(self.x, x) <= self.slack)
+
+
+def whole(near: Near) -> Tight:
+    """All pairs of sites in a list."""
+    return Tight(near.picked, near.site_count, near.x, near.slack)
+
+
 class Room(NamedTuple):
     """Sizes of a `Near`: pairs of triangles, sites at triangles, pairs of sites."""
 
@@ -126,12 +146,12 @@ def no_neighbors(n: int, room: Room = SMALLEST) -> Near:
     )  # fmt: skip
 
 
-def slack_for(contact: "Contact", x: Array, ahead: Array) -> Array:
+def slack_for(contact: "Contact", x: Array, ahead: Array, least: float = SLACK) -> Array:
     """Slack (n,) of a list made at `x` for steps that go to `ahead` (n, 3): for a few of them, or for one
-    where that is far."""
+    where that is far; `least` in ranges."""
     moved = motion(x, ahead)
-    few = jnp.minimum(SEVERAL * moved, jnp.maximum(ONE * moved, 2.0 * SLACK * contact.range))
-    return SLACK * contact.range + few
+    few = jnp.minimum(SEVERAL * moved, jnp.maximum(ONE * moved, 2.0 * least * contact.range))
+    return least * contact.range + few
 
 
 def find_near(contact: "Contact", x: Array, slack: Array) -> Near:

@@ -8,23 +8,27 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxcrumple.model.contact import Contact
 from jaxcrumple.model.fans import DUE_TURN, MOST_TURN
-from jaxcrumple.model.near import Near, find_near, motion, slack_for
+from jaxcrumple.model.near import TIGHT_SLACK, Near, Tight, find_near, motion, slack_for, whole
 from jaxcrumple.model.scene import Scene, with_near
 from jaxcrumple.system import Listing, State
 
 # Share of what a list allows for that a predicted step may use.
 USED = 0.9
+# A tight list with slacks so many times those that a step needs is made anew.
+LOOSE = 4.0
 # Reach of a new list of candidates: ranges, and steps like the next one; it need not be more than lets a flat
 # sheet have no candidates, but is FEWEST steps at least.
 REACH, STEPS, FEWEST = 0.35, 32.0, 2.0
 
 
 class Lists(NamedTuple):
-    """The pairs of sites that the loop holds: `near`, the `slack` (n,) that the next ones must have, and
-    whether they are `due`, before the next step."""
+    """The pairs of sites that the loop holds: `near`, and `tight` out of these; the `slack` (n,) that the next
+    `near` must have, and whether it is `due`, before the next step."""
 
     near: Near
+    tight: Tight
     slack: Array
     due: Array
 
@@ -37,7 +41,7 @@ def start_lists(scene: Scene, state: State) -> tuple[State, Lists | None]:
     known = contact.candidates.made_for(listing.x, listing.reach)
     none = jnp.zeros(3, int)
     state = eqx.tree_at(lambda s: s.listing, state, Listing(listing.x, listing.reach, ~known, none))
-    return state, Lists(contact.near, slack_for(contact, state.x, state.x), jnp.asarray(True))
+    return state, Lists(contact.near, contact.tight, slack_for(contact, state.x, state.x), jnp.asarray(True))
 
 
 def waits(state: State) -> Array:
@@ -48,7 +52,7 @@ def waits(state: State) -> Array:
 
 def listed(scene: Scene, lists: Lists | None) -> Scene:
     """The scene with the pairs of sites in the lists."""
-    return scene if lists is None else with_near(scene, lists.near)
+    return scene if lists is None else with_near(scene, lists.near, lists.tight)
 
 
 def renewed(scene: Scene, state: State, lists: Lists | None) -> tuple[State, Lists | None]:
@@ -56,9 +60,14 @@ def renewed(scene: Scene, state: State, lists: Lists | None) -> tuple[State, Lis
     contact, listing = scene.contact, state.listing
     if contact is None or listing is None or lists is None:
         return state, None
-    near = jax.lax.cond(lists.due, lambda: find_near(contact, state.x, lists.slack), lambda: lists.near)
+
+    def anew() -> tuple[Near, Tight]:
+        near = find_near(contact, state.x, lists.slack)
+        return near, whole(near)
+
+    near, tight = jax.lax.cond(lists.due, anew, lambda: (lists.near, lists.tight))
     full = eqx.tree_at(lambda s: s.listing.needed, state, jnp.where(near.overflow, near.needed, 0))
-    return full, Lists(near, lists.slack, jnp.asarray(False))
+    return full, Lists(near, tight, lists.slack, jnp.asarray(False))
 
 
 def largest_move(scene: Scene, x: Array, ahead: Array) -> Array:
@@ -89,7 +98,17 @@ def ready_for(
     held = jnp.all(motion(near.x, ahead) <= USED * near.slack)
     slack = jnp.where(held, lists.slack, slack_for(contact, state.x, ahead))
     state = eqx.tree_at(lambda s: s.listing, state, wanted)
-    return state, Lists(near, slack, ~held), held & ~stale
+    tight = _tight_for(contact, state, lists, ahead)
+    return state, Lists(near, tight, slack, ~held), held & ~stale
+
+
+def _tight_for(contact: Contact, state: State, lists: Lists, ahead: Array) -> Tight:
+    """The tight list, made anew where it does not hold for a step to `ahead` (n, 3) or holds too much."""
+    slack = slack_for(contact, state.x, ahead, TIGHT_SLACK)
+    tight = lists.tight
+    held = jnp.all(motion(tight.x, ahead) <= USED * tight.slack)
+    loose = jnp.max(tight.slack) > LOOSE * jnp.max(slack)
+    return jax.lax.cond(held & ~loose, lambda: tight, lambda: contact.tightened(state.x, slack))
 
 
 def passes(scene: Scene, state: State, x: Array, t: Array) -> Array:
