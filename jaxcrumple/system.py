@@ -103,7 +103,8 @@ class State(eqx.Module):
     `t` s; `x` (n, 3) m; `v` (n, 3) m/s; `p` (h,) rest curvature or None in an elastic scene; `h`,
     `h_explicit`: next step of the implicit stages and of the explicit one in s; `limit`: stability
     limit of explicit steps in s, measured now and then; `stage`: `QUASISTATIC`, `IMPLICIT`, `EXPLICIT`,
-    or -1 for that in which the scheme starts; `listing`: None without contact.
+    or -1 for that in which the scheme starts; `listing`: None without contact; `kept`: where the tangent
+    was taken with which the last implicit step ended.
     """
 
     t: Array
@@ -116,6 +117,7 @@ class State(eqx.Module):
     stage: Array
     listing: Listing | None
     history: History
+    kept: "Linearization"
     monitor: Monitor
     counters: Counters
     result: RESULTS
@@ -152,6 +154,7 @@ def initial_state(scene: Scene, x: Array, v: Array | None = None, *, window: int
         stage=jnp.asarray(-1, int),
         listing=None if scene.contact is None else first_listing(scene.contact, x),
         history=restart_history(x, v, p),
+        kept=_no_linearization(scene, restart_history(x, v, p)),
         monitor=Monitor(jnp.zeros(window), zero, nought),
         counters=Counters(jnp.zeros(len(STAGES), int), jnp.zeros(len(CAUSES), int), zero, zero, zero, zero),
         result=RESULTS.success,  # type: ignore[arg-type]
@@ -303,6 +306,25 @@ def implicit_step(
         damping_memory=None if scene.damping is None else scene.damping.memory(history.x, alpha),
         inertia=jnp.zeros(()) if inertia is None else inertia,
     )
+
+
+# Age of a tangent that no step may use.
+NEVER = 1_000_000
+
+
+class Linearization(eqx.Module):
+    """Where a tangent was taken: in which `step`, at which positions `x` (n, 3), `age` steps ago."""
+
+    step: ImplicitStep
+    x: Array
+    age: Array
+
+
+def _no_linearization(scene: Scene, history: History) -> Linearization:
+    """One that no step may use."""
+    nought, one = jnp.zeros(()), jnp.ones(())
+    step = implicit_step(scene, history, jnp.zeros(HISTORY), one, nought, nought)
+    return Linearization(step, history.x[0], jnp.asarray(NEVER))
 
 
 def residual(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array | None]:

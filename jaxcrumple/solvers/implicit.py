@@ -11,7 +11,7 @@ from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
 from jaxcrumple.solvers.lists import passes
 from jaxcrumple.solvers.newton import NewtonSolution
-from jaxcrumple.system import CAUSES, IMPLICIT, State
+from jaxcrumple.system import CAUSES, IMPLICIT, Linearization, State
 
 # Largest growth of the step after a step of order 1 ... 5: below what variable-step BDF tolerates
 # without losing zero-stability (1.62 and 1.28 at orders 3 and 4).
@@ -29,6 +29,7 @@ CUT = 0.4
 class Attempt(NamedTuple):
     """A tried step: new `x`, `v`, `acceleration` (n, 3) and `p`, its `error` in units of the tolerance,
     the `order` it had, the step and order to take next, and what it took.
+    `factor` and `kept`: the last tangent, and where it was taken.
 
     `cause` indexes `CAUSES`, or is -1 when the step is accepted.
     """
@@ -43,6 +44,7 @@ class Attempt(NamedTuple):
     next_h: Array
     next_order: Array
     factor: Factor
+    kept: Linearization
     newton: Array
     linear: Array
     factors: Array
@@ -64,8 +66,8 @@ class AbstractImplicit(eqx.Module):
         """Positions (n, 3) after a step of size `h` s as the history tells."""
 
     @abc.abstractmethod
-    def attempt(self, scene: Scene, state: State, h: Array, factor: Factor) -> Attempt:
-        """Try a step of size `h` s in the state's stage."""
+    def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array | bool) -> Attempt:
+        """Try a step of size `h` s in the state's stage; `held`: whether `factor` is of `state.kept`."""
 
 
 def aligns(state: State) -> Array:

@@ -22,6 +22,7 @@ from jaxcrumple.system import (
     CAUSES,
     EXPLICIT,
     IMPLICIT,
+    NEVER,
     QUASISTATIC,
     RESULTS,
     Counters,
@@ -60,6 +61,7 @@ class _Carry(NamedTuple):
     lists: Lists | None
     log: Log
     factor: Factor | None
+    held: Array
     spent: Array
     left: Array
     done: Array
@@ -84,7 +86,7 @@ def integrate(
     state = eqx.tree_at(lambda s: (s.h, s.stage), state, (start_h, stage))
     factor = None if solver.implicit is None else solver.implicit.linear.start(scene.pattern)
     left, log = as_float(max_attempts), empty_log(LOG_CAPACITY)
-    carry = _Carry(state, lists, log, factor, jnp.asarray(0), left, state.t >= t_stop)
+    carry = _Carry(state, lists, log, factor, jnp.asarray(False), jnp.asarray(0), left, state.t >= t_stop)
 
     def stages(carry: _Carry) -> _Carry:
         carry = _renewed(scene, carry)
@@ -126,9 +128,9 @@ def _interrupted(carry: _Carry) -> Array:
     return jnp.asarray(False) if carry.lists is None else carry.lists.due
 
 
-def _tried(carry: _Carry, state: State, log: Log, factor, cost: int, done: Array) -> _Carry:
+def _tried(carry: _Carry, state: State, log: Log, factor, held: Array, cost: int, done: Array) -> _Carry:
     """The loop after another attempt."""
-    return _Carry(state, carry.lists, log, factor, carry.spent + cost, carry.left - 1.0, done)
+    return _Carry(state, carry.lists, log, factor, held, carry.spent + cost, carry.left - 1.0, done)
 
 
 def _clip_step(t: Array, h: Array, t_stop: Array) -> tuple[Array, Array]:
@@ -189,7 +191,7 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
     if scene.contact is None:
         return _implicit_attempt(scene, carry._replace(state=state), t_stop, solver, wanted, h, lands)
     ahead = solver.implicit.predict(scene, state, h)
-    state, lists, ready = ready_for(scene, state, carry.lists, ahead)
+    state, lists, ready = ready_for(scene, state, carry.lists, ahead, carry.held)
     carry = carry._replace(state=state, lists=lists)
 
     def attempt() -> _Carry:
@@ -201,7 +203,7 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
 def _implicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted, h, lands) -> _Carry:
     assert solver.implicit is not None and carry.factor is not None
     state, aligning = carry.state, aligns(carry.state)
-    tried = solver.implicit.attempt(scene, state, h, carry.factor)
+    tried = solver.implicit.attempt(scene, state, h, carry.factor, carry.held)
     moved = _moved(scene, state, tried, h, jnp.where(lands, t_stop, state.t + h), solver)
     suggested = tried.next_h
     # A step shortened only to land on a given time must not make the next one short.
@@ -212,11 +214,14 @@ def _implicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, w
         state.counters, state.stage, tried.accepted, tried.cause, tried.newton, tried.linear, tried.factors
     )
     moved = eqx.tree_at(
-        lambda s: (s.h, s.history.order, s.counters), moved, (suggested, tried.next_order, counters)
+        lambda s: (s.h, s.history.order, s.kept, s.counters),
+        moved,
+        (suggested, tried.next_order, tried.kept, counters),
     )
     log = append(carry.log, _row(scene, moved, STEP, h, tried.order, tried.error), tried.accepted)
     moved, log = _change_stage(scene, moved, log, tried, solver)
-    return _tried(carry, moved, log, tried.factor, IMPLICIT_COST, tried.accepted & lands)
+    held = jnp.ones_like(carry.held)
+    return _tried(carry, moved, log, tried.factor, held, IMPLICIT_COST, tried.accepted & lands)
 
 
 def _moved(scene: Scene, state: State, tried: Attempt, h: Array, t: Array, solver: Integrator) -> State:
@@ -286,9 +291,9 @@ def _switched(state: State, stage: int, h: Array) -> State:
     """The state at the start of a stage. Implicit stages share their history; an explicit one ends it."""
     old = state.stage
     state = eqx.tree_at(
-        lambda s: (s.stage, s.monitor, s.counters.switches),
+        lambda s: (s.stage, s.monitor, s.counters.switches, s.kept.age),
         state,
-        (jnp.asarray(stage), fresh_monitor(state.monitor), state.counters.switches + 1),
+        (jnp.asarray(stage), fresh_monitor(state.monitor), state.counters.switches + 1, jnp.asarray(NEVER)),
     )
     if stage == EXPLICIT:
         return eqx.tree_at(lambda s: s.h_explicit, state, h)
@@ -339,7 +344,7 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop, solver: Integrator, stag
         return _explicit_attempt(scene, carry._replace(state=state), t_stop, solver, wanted, stages, fresh)
     ahead = state.x + LOOK_AHEAD * wanted * state.v
     ahead = state.x + largest_move(scene, state.x, ahead) * (ahead - state.x)
-    state, lists, ready = ready_for(scene, state, carry.lists, ahead)
+    state, lists, ready = ready_for(scene, state, carry.lists, ahead, carry.held)
     carry = carry._replace(state=state, lists=lists)
 
     def attempt():
@@ -383,4 +388,4 @@ def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, w
         asked = tried.accepted & has_settled(scene, moved.monitor, solver.switch)
         moved, log = _maybe_switch(scene, moved, log, asked, QUASISTATIC, solver.restart_steps * cap)
     done = tried.accepted & lands
-    return _tried(carry, moved, log, carry.factor, EXPLICIT_COST, done), stages, tried.accepted
+    return _tried(carry, moved, log, carry.factor, carry.held, EXPLICIT_COST, done), stages, tried.accepted

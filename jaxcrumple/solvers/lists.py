@@ -12,7 +12,7 @@ from jaxcrumple.model.contact import Contact
 from jaxcrumple.model.fans import DUE_TURN, MOST_TURN
 from jaxcrumple.model.near import TIGHT_SLACK, Near, Tight, find_near, motion, slack_for, whole
 from jaxcrumple.model.scene import Scene, with_near
-from jaxcrumple.system import Listing, State
+from jaxcrumple.system import NEVER, Listing, State
 
 # Share of what a list allows for that a predicted step may use.
 USED = 0.9
@@ -41,7 +41,8 @@ def start_lists(scene: Scene, state: State) -> tuple[State, Lists | None]:
     known = contact.candidates.made_for(listing.x, listing.reach)
     none = jnp.zeros(3, int)
     state = eqx.tree_at(lambda s: s.listing, state, Listing(listing.x, listing.reach, ~known, none))
-    return state, Lists(contact.near, contact.tight, slack_for(contact, state.x, state.x), jnp.asarray(True))
+    slack = jnp.maximum(slack_for(contact, state.x, state.x), _back(state, jnp.asarray(False)))
+    return state, Lists(contact.near, contact.tight, slack, jnp.asarray(True))
 
 
 def waits(state: State) -> Array:
@@ -78,9 +79,12 @@ def largest_move(scene: Scene, x: Array, ahead: Array) -> Array:
 
 
 def ready_for(
-    scene: Scene, state: State, lists: Lists | None, ahead: Array
+    scene: Scene, state: State, lists: Lists | None, ahead: Array, held: Array
 ) -> tuple[State, Lists | None, Array]:
-    """Whether the lists hold for a step from the state to `ahead` (n, 3); where not, what is due before."""
+    """Whether the lists hold for a step from the state to `ahead` (n, 3); where not, what is due before.
+
+    Unless the factor of the last tangent is `held`, they hold for that too.
+    """
     contact, listing = scene.contact, state.listing
     if contact is None or listing is None or lists is None:
         return state, None, jnp.asarray(True)
@@ -95,18 +99,23 @@ def ready_for(
     wanted = Listing(
         jnp.where(stale, state.x, listing.x), jnp.where(stale, reach, listing.reach), stale, listing.needed
     )
-    held = jnp.all(motion(near.x, ahead) <= USED * near.slack)
-    slack = jnp.where(held, lists.slack, slack_for(contact, state.x, ahead))
+    holds, back = jnp.all(motion(near.x, ahead) <= USED * near.slack), _back(state, held)
+    slack = jnp.where(holds, lists.slack, jnp.maximum(slack_for(contact, state.x, ahead), back))
     state = eqx.tree_at(lambda s: s.listing, state, wanted)
-    tight = _tight_for(contact, state, lists, ahead)
-    return state, Lists(near, tight, slack, ~held), held & ~stale
+    tight = _tight_for(contact, state, lists, ahead, back)
+    return state, Lists(near, tight, slack, ~holds), holds & ~stale
 
 
-def _tight_for(contact: Contact, state: State, lists: Lists, ahead: Array) -> Tight:
+def _back(state: State, held: Array) -> Array:
+    """Slack (n,) that a list needs to hold where the last tangent was taken, if it must be taken again."""
+    return jnp.where(held | (state.kept.age >= NEVER), 0.0, motion(state.x, state.kept.x) / USED)
+
+
+def _tight_for(contact: Contact, state: State, lists: Lists, ahead: Array, back: Array) -> Tight:
     """The tight list, made anew where it does not hold for a step to `ahead` (n, 3) or holds too much."""
-    slack = slack_for(contact, state.x, ahead, TIGHT_SLACK)
+    slack = jnp.maximum(slack_for(contact, state.x, ahead, TIGHT_SLACK), back)
     tight = lists.tight
-    held = jnp.all(motion(tight.x, ahead) <= USED * tight.slack)
+    held = jnp.all(motion(tight.x, ahead) <= USED * tight.slack) & (jnp.max(back) == 0)
     loose = jnp.max(tight.slack) > LOOSE * jnp.max(slack)
     return jax.lax.cond(held & ~loose, lambda: tight, lambda: contact.tightened(state.x, slack))
 

@@ -2,18 +2,21 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
-from jaxcrumple.system import ImplicitStep, linearize, residual
+from jaxcrumple.system import NEVER, ImplicitStep, Linearization, linearize, residual
 
 # An iteration that grows by more than this factor has left the basin of the root.
 DIVERGENCE = 2.0
 # A kept tangent that shrinks the update by less than this is renewed.
-SLOW = 0.3
+SLOW = 0.5
+# A tangent of an earlier step is kept for so many steps with inertia, while beta h stays within this ratio.
+MOST_STEPS, RATIO = 20, 0.6
 # Forcing term: relative residual to which each linear system is solved. A direct solver meets it with
 # one back substitution; what an iterative one leaves is found by the next iteration.
 FORCING = 1e-3
@@ -22,12 +25,14 @@ FORCING = 1e-3
 class NewtonSolution(NamedTuple):
     """Outcome of a Newton iteration.
 
-    `x` (n, 3); `factor` the last tangent's; `iterations`, `linear` iterations and `factors` made;
-    `converged`; `indefinite`: a tangent had a negative eigenvalue, so the equilibrium is unstable.
+    `x` (n, 3); `factor` the last tangent's, and `kept`, where that was taken; `iterations`, `linear`
+    iterations and `factors` made; `converged`; `indefinite`: a tangent had a negative eigenvalue, so the
+    equilibrium is unstable.
     """
 
     x: Array
     factor: Factor
+    kept: Linearization | None
     iterations: Array
     linear: Array
     factors: Array
@@ -37,13 +42,14 @@ class NewtonSolution(NamedTuple):
 
 class _Carry(NamedTuple):
     x: Array
-    values: Array
     factor: Factor
+    kept: Linearization
     iterations: Array
     linear: Array
     factors: Array
     update: Array
     renew: Array
+    restore: Array
     converged: Array
     failed: Array
     indefinite: Array
@@ -57,55 +63,82 @@ def newton(
     factor: Factor,
     tolerance: Array,
     max_iterations: int,
+    kept: Linearization | None = None,
+    held: Array | bool = True,
 ) -> NewtonSolution:
     """Find x with zero residual, with the exact tangent.
 
-    A solver whose factor solves exactly keeps tangent and factor within the step for as long as they
-    contract; for the others every iteration has its own tangent and the first one's preconditioner.
-    Stops when the remaining error, estimated from the contraction of the updates, is below
-    `tolerance` (m, maximum norm), or when the updates grow, or the tangent is indefinite, or after
+    A solver whose factor solves exactly keeps tangent and factor for as long as they contract, also from one
+    step with inertia to the next: `kept` says where the factor's tangent was taken, and `held` whether the
+    factor is there or must be made again. For other solvers every iteration has its own tangent and the first
+    one's preconditioner. Stops when the remaining error, estimated from the contraction of the updates, is
+    below `tolerance` (m, maximum norm), or when the updates grow, or the tangent is indefinite, or after
     `max_iterations`.
     """
+    old = Linearization(step, guess, jnp.asarray(NEVER)) if kept is None else kept
+    usable = _usable(step, old) if linear.exact and kept is not None else jnp.asarray(False)
 
-    def renewed(x: Array, carry: _Carry) -> tuple[Array, Array, Factor]:
-        value, values = linearize(scene, step, x)
-        return value, values, linear.factor(scene.pattern, values, carry.factor)
+    def renewed(carry: _Carry) -> tuple[Array, Factor]:
+        here = jax.tree.map(
+            lambda a, b: jnp.where(carry.restore, a, b), (old.step, old.x), (step, carry.x)
+        )
+        _, values = linearize(scene, *here)
+        return values, linear.factor(scene.pattern, values, carry.factor)
 
-    def kept(x: Array, carry: _Carry) -> tuple[Array, Array, Factor]:
-        if linear.exact:
-            return residual(scene, step, x)[0], carry.values, carry.factor
-        return *linearize(scene, step, x), carry.factor
+    def same(carry: _Carry) -> tuple[Array, Factor]:
+        values = carry.factor.values if linear.exact else linearize(scene, step, carry.x)[1]
+        return values, carry.factor
 
     def body(carry: _Carry) -> _Carry:
-        value, values, factor = jax.lax.cond(carry.renew, renewed, kept, carry.x, carry)
+        value, _ = residual(scene, step, carry.x)
+        values, factor = jax.lax.cond(carry.renew, renewed, same, carry)
+        own = carry.renew & ~carry.restore
+        taken = Linearization(step, carry.x, jnp.zeros_like(old.age))
+        kept = jax.tree.map(lambda a, b: jnp.where(own, a, b), taken, carry.kept)
         solution = linear.solve(scene.pattern, factor, values, -value.reshape(-1), FORCING)
-        x = carry.x + solution.x.reshape(carry.x.shape)
         update = jnp.max(jnp.abs(solution.x))
-        contraction = jnp.where(carry.iterations == 0, 1.0, update / carry.update)
+        first = jnp.isinf(carry.update)
+        contraction = jnp.where(first, 1.0, update / carry.update)
         remaining = jnp.where(contraction < 1, contraction / (1 - contraction) * update, jnp.inf)
         # Without a contraction rate yet, quadratic convergence is trusted only for tiny updates.
         converged = (remaining < tolerance) | (update < 0.01 * tolerance)
-        failed = ~jnp.isfinite(update) | (contraction > DIVERGENCE) | solution.indefinite
+        lost = ~jnp.isfinite(update) | (contraction > DIVERGENCE) | solution.indefinite
+        # With the tangent of an earlier step that says nothing yet.
+        again = lost & (kept.age > 0)
         return _Carry(
-            x,
-            values,
+            jnp.where(again, carry.x, carry.x + solution.x.reshape(carry.x.shape)),
             factor,
+            kept,
             carry.iterations + 1,
             carry.linear + solution.iterations,
             carry.factors + carry.renew,
-            update,
-            (contraction > SLOW) & (carry.iterations > 0),
-            converged & ~failed,
-            failed,
-            solution.indefinite,
+            jnp.where(again, jnp.inf, update),
+            again | ((contraction > SLOW) & ~first),
+            jnp.zeros_like(carry.restore),
+            converged & ~lost,
+            lost & ~again,
+            solution.indefinite & ~again,
         )
 
     def unfinished(carry: _Carry) -> Array:
         return ~carry.converged & ~carry.failed & (carry.iterations < max_iterations)
 
     zero, no = jnp.asarray(0), jnp.asarray(False)
-    init = _Carry(guess, factor.values, factor, zero, zero, zero, jnp.asarray(jnp.inf), ~no, no, no, no)
-    end = jax.lax.while_loop(unfinished, body, init)
-    return NewtonSolution(
-        end.x, end.factor, end.iterations, end.linear, end.factors, end.converged, end.indefinite
+    old = eqx.tree_at(lambda k: k.age, old, jnp.where(usable, old.age + 1, NEVER))
+    restore = usable & ~jnp.asarray(held)
+    start = _Carry(
+        guess, factor, old, zero, zero, zero, jnp.asarray(jnp.inf), ~usable | restore, restore, no, no, no
     )
+    end = jax.lax.while_loop(unfinished, body, start)
+    age = jnp.where(end.converged, end.kept.age, NEVER)
+    last = None if kept is None else eqx.tree_at(lambda k: k.age, end.kept, age)
+    return NewtonSolution(
+        end.x, end.factor, last, end.iterations, end.linear, end.factors, end.converged, end.indefinite
+    )
+
+
+def _usable(step: ImplicitStep, kept: Linearization) -> Array:
+    """Whether the tangent of an earlier step may do for this one."""
+    ratio = step.beta_h / kept.step.beta_h
+    alike = (ratio > RATIO) & (ratio * RATIO < 1.0)
+    return alike & (kept.age < MOST_STEPS) & (step.inertia * kept.step.inertia > 0)

@@ -36,7 +36,7 @@ class BDFPair(AbstractImplicit):
         guess = jnp.tensordot(extrapolation(h, history.steps, points), history.x, 1)
         return guess if scene.prescribed is None else scene.prescribed.position(guess, state.t + h)
 
-    def attempt(self, scene: Scene, state: State, h: Array, factor: Factor) -> Attempt:
+    def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array | bool = False) -> Attempt:
         """Try a step of size `h` s."""
         history = state.history
         order = jnp.clip(history.count, 1, ORDER)
@@ -55,7 +55,7 @@ class BDFPair(AbstractImplicit):
         cause = judge(scene, state, both, x, state.t + h, error)
         next_h = resized(h, order, error, cause, jnp.maximum(order - 1, 1))
         return Attempt(
-            x, v, p, (v - state.v) / h, error, cause, order, next_h, history.order, second.factor,
+            x, v, p, (v - state.v) / h, error, cause, order, next_h, history.order, second.factor, state.kept,
             solution.iterations + second.iterations, solution.linear + second.linear,
             solution.factors + second.factors,
         )  # fmt: skip
