@@ -28,7 +28,7 @@ EXCLUSION = 2.0
 # Pairs of triangles, and of sites, that are looked at together while a list is made.
 PAIRS, SITES = 128, 4096
 # Smallest slack of a node, in ranges, in a `Near` and in a `Tight`.
-SLACK, TIGHT_SLACK = 0.25, 0.1
+SLACK, TIGHT_SLACK = 0.25, 0.15
 # Steps like the next one for which a list is made, and that step itself with some room.
 SEVERAL, ONE = 3.0, 1.2
 

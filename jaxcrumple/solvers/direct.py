@@ -64,6 +64,8 @@ class Direct(AbstractLinearSolver):
         self, pattern: Pattern, factor: Factor, values: Array, rhs: Array, rtol: Array | float
     ) -> Solution:
         """One back substitution if the factor is of these `values`; else conjugate gradients with it."""
+        if values is factor.values:
+            return Solution(_substitute(pattern, factor, rhs), jnp.asarray(1), factor.negative > 0)
         return conjugate_gradients(
             lambda d: pattern.product(values, d),
             lambda r: _substitute(pattern, factor, r),

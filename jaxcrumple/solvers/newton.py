@@ -78,20 +78,25 @@ def newton(
     old = Linearization(step, guess, jnp.asarray(NEVER)) if kept is None else kept
     usable = _usable(step, old) if linear.exact and kept is not None else jnp.asarray(False)
 
-    def renewed(carry: _Carry) -> tuple[Array, Factor]:
+    def renewed(carry: _Carry) -> Factor:
         here = jax.tree.map(
             lambda a, b: jnp.where(carry.restore, a, b), (old.step, old.x), (step, carry.x)
         )
-        _, values = linearize(scene, *here)
-        return values, linear.factor(scene.pattern, values, carry.factor)
+        return linear.factor(scene.pattern, linearize(scene, *here)[1], carry.factor)
 
-    def same(carry: _Carry) -> tuple[Array, Factor]:
-        values = carry.factor.values if linear.exact else linearize(scene, step, carry.x)[1]
-        return values, carry.factor
+    def tangent(carry: _Carry) -> tuple[Array, Factor]:
+        if linear.exact:
+            factor = jax.lax.cond(carry.renew, renewed, lambda carry: carry.factor, carry)
+            return factor.values, factor
+        _, values = linearize(scene, step, carry.x)
+        factor = jax.lax.cond(
+            carry.renew, lambda: linear.factor(scene.pattern, values, carry.factor), lambda: carry.factor
+        )
+        return values, factor
 
     def body(carry: _Carry) -> _Carry:
         value, _ = residual(scene, step, carry.x)
-        values, factor = jax.lax.cond(carry.renew, renewed, same, carry)
+        values, factor = tangent(carry)
         own = carry.renew & ~carry.restore
         taken = Linearization(step, carry.x, jnp.zeros_like(old.age))
         kept = jax.tree.map(lambda a, b: jnp.where(own, a, b), taken, carry.kept)
