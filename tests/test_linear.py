@@ -118,7 +118,9 @@ def test_assembly_adds_up_every_block():
 def test_product_is_that_of_the_symmetric_matrix():
     pattern, elements, nodes, dense = random_blocks()
     x = np.random.default_rng(6).normal(size=len(dense))
-    product = jax.jit(lambda e, n, x: pattern.product(pattern.values(pattern.assemble(e, n)), x))(elements, nodes, x)
+    product = jax.jit(lambda e, n, x: pattern.product(pattern.values(pattern.assemble(e, n)), x))(
+        elements, nodes, x
+    )
     np.testing.assert_allclose(product, dense @ x, atol=1e-12)
 
 

@@ -1,4 +1,5 @@
-"""Lists that are mostly empty: what their entries add up to, a chunk at a time, so that room costs nothing."""
+"""Lists that are mostly empty: what their entries add up to, a chunk at a time, so that room costs
+nothing."""
 
 from collections.abc import Callable
 from typing import Any
@@ -14,9 +15,9 @@ def accumulate(
 ) -> Any:
     """`start` with what the first `count` entries of a list with `room` add to it.
 
-    `add(total, arguments, places)` adds those at `places` (chunk,), of which the ones from `count` on must add
-    nothing; it closes over no number that is differentiated. The loop ends with the list; derivatives, of any
-    order and mode, come from one that has as many rounds as the list has room, and skips those beyond.
+    `add(total, arguments, places)` adds those at `places` (chunk,), of which the ones from `count` on must
+    add nothing; it closes over no number that is differentiated. The loop ends with the list; derivatives, of
+    any order and mode, come from one that has as many rounds as the list has room, and skips those beyond.
     """
     return _accumulate(start, arguments, count, add=add, room=room, chunk=min(chunk, room))
 

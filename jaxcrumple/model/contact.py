@@ -209,7 +209,8 @@ class Contact(eqx.Module):
         """The pairs of sites that may interact while no node moves further than `slack` (n,) from `x` (n, 3),
         out of those in `near`."""
         limits = self.range, slack
-        return Tight(*self._kept(whole(self.near), x, _may_interact, limits), x, slack)
+        picked, count = self._kept(whole(self.near), x, _may_interact, limits)
+        return Tight(picked, count, x, slack)
 
     def _kept(self, listed: Tight, x: Array, test: Callable[["_Pairs", Array, Any], Array], limits: Any):
         """Those pairs of a list (P,) that pass a `test` of their distance (p,), and how many they are."""

@@ -13,7 +13,8 @@ from jax import Array
 
 from jaxcrumple.model.chunks import accumulate
 
-# Numbers that a pair of triangles adds to the tangent's values: a block for each node of one and of the other.
+# Numbers that a pair of triangles adds to the tangent's values: a block for each node of one and of the
+# other.
 SIZE = 81
 # Pairs of triangles that are looked at together.
 CHUNK = 128
@@ -111,5 +112,6 @@ class Cross(eqx.Module):
 
 
 def _blocks(appended: Array) -> Array:
-    """Appended values as blocks (t, 3, 3, 3, 3): pair of triangles, node of the one, of the other, components."""
+    """Appended values as blocks (t, 3, 3, 3, 3): pair of triangles, node of the one, of the other,
+    components."""
     return appended.reshape(-1, 3, 3, 3, 3)

@@ -3,10 +3,10 @@ while.
 
 Three tiers. `Candidates` are pairs of triangles that may come within the contact range while no node moves
 further than its reach. `Near`, refreshed inside a compiled program, are those that may do so while no node
-moves further than its slack, which is less, with their pairs of sites; `Tight` are those of the pairs of sites
-that may interact within the next step or two. Motion counts from the positions at
-which a list was made, less the mean motion of the sheet, which changes no distance. Lists are ordered and
-what does not interact adds exact zeros, so results do not depend on when a list was made.
+moves further than its slack, which is less, with their pairs of sites; `Tight` are those of the pairs of
+sites that may interact within the next step or two. Motion counts from the positions at which a list was
+made, less the mean motion of the sheet, which changes no distance. Lists are ordered and what does not
+interact adds exact zeros, so results do not depend on when a list was made.
 """
 
 from collections.abc import Callable
@@ -94,8 +94,8 @@ class Near(eqx.Module):
 
 
 class Tight(eqx.Module):
-    """Pairs of sites out of a `Near`, `picked` (P,) as there, the first `count` of them valid, while no node moves
-    further than `slack` (n,) from `x` (n, 3)."""
+    """Pairs of sites out of a `Near`, `picked` (P,) as there, the first `count` of them valid, while no node
+    moves further than `slack` (n,) from `x` (n, 3)."""
 
     picked: Array
     count: Array

@@ -79,8 +79,8 @@ def with_near(scene: Scene, near: Near, tight: Tight | None = None) -> Scene:
     nodes = scene.contact.faces[near.triangles].reshape(-1, 6)
     return eqx.tree_at(
         lambda s: (
-            s.contact.near, s.contact.tight, s.pattern.contact.triangles, s.pattern.contact.nodes, s.pattern.contact.candidate,
-            s.pattern.contact.count,
+            s.contact.near, s.contact.tight, s.pattern.contact.triangles, s.pattern.contact.nodes,
+            s.pattern.contact.candidate, s.pattern.contact.count,
         ),
         scene,
         (near, whole(near) if tight is None else tight, near.triangles, nodes, near.pairs, near.pair_count),

@@ -29,8 +29,7 @@ class Search:
 
     def find(self, x: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pairs of triangles that may come within the range while no node of `x` (n, 3) moves further than
-        its
-        `reach` (n,), and no other fold gets sharper than `Fans` allow.
+        its `reach` (n,), and no other fold gets sharper than `Fans` allow.
 
         **Returns:** the pairs (c, 2), sorted, and which of the ways of `Fans` (w,) are folded enough to
         count.

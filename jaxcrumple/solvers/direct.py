@@ -53,9 +53,7 @@ class Direct(AbstractLinearSolver):
         finite = jnp.all(jnp.isfinite(values))
         safe = jnp.where(finite, values, identity_values(pattern))
         indptr, indices, matrix = _matrix(pattern, safe)
-        token, report = primitive.factor(
-            previous.workspace.token, indptr, indices, matrix, **_mode()
-        )
+        token, report = primitive.factor(previous.workspace.token, indptr, indices, matrix, **_mode())
         # report[22] is PARDISO's count of negative eigenvalues (iparm(23)).
         negative = jnp.where(finite, report[22], 1).astype(int)
         return Factor(safe, _Workspace(token, matrix), negative)

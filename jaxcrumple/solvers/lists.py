@@ -24,8 +24,8 @@ REACH, STEPS, FEWEST = 0.35, 32.0, 2.0
 
 
 class Lists(NamedTuple):
-    """The pairs of sites that the loop holds: `near`, and `tight` out of these; the `slack` (n,) that the next
-    `near` must have, and whether it is `due`, before the next step."""
+    """The pairs of sites that the loop holds: `near`, and `tight` out of these; the `slack` (n,) that the
+    next `near` must have, and whether it is `due`, before the next step."""
 
     near: Near
     tight: Tight

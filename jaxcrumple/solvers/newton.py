@@ -79,9 +79,7 @@ def newton(
     usable = _usable(step, old) if linear.exact and kept is not None else jnp.asarray(False)
 
     def renewed(carry: _Carry) -> Factor:
-        here = jax.tree.map(
-            lambda a, b: jnp.where(carry.restore, a, b), (old.step, old.x), (step, carry.x)
-        )
+        here = jax.tree.map(lambda a, b: jnp.where(carry.restore, a, b), (old.step, old.x), (step, carry.x))
         return linear.factor(scene.pattern, linearize(scene, *here)[1], carry.factor)
 
     def tangent(carry: _Carry) -> tuple[Array, Factor]:

@@ -36,7 +36,9 @@ class BDFPair(AbstractImplicit):
         guess = jnp.tensordot(extrapolation(h, history.steps, points), history.x, 1)
         return guess if scene.prescribed is None else scene.prescribed.position(guess, state.t + h)
 
-    def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array | bool = False) -> Attempt:
+    def attempt(
+        self, scene: Scene, state: State, h: Array, factor: Factor, held: Array | bool = False
+    ) -> Attempt:
         """Try a step of size `h` s."""
         history = state.history
         order = jnp.clip(history.count, 1, ORDER)

@@ -65,7 +65,9 @@ class VariableOrder(AbstractImplicit):
         """Positions (n, 3) after a step of size `h` s as the history tells."""
         return _predicted(scene, state, h, self._orders(scene, state, h).used)
 
-    def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array | bool = False) -> Attempt:
+    def attempt(
+        self, scene: Scene, state: State, h: Array, factor: Factor, held: Array | bool = False
+    ) -> Attempt:
         """Try a step of size `h` s in the state's stage."""
         formula = self._formula(scene, state, h)
         theta, step, order = formula.theta, formula.step, formula.orders.used
@@ -73,9 +75,7 @@ class VariableOrder(AbstractImplicit):
         guess = _start(formula, state, predicted)
         tolerance = self.newton_share * LOCAL_SHARE * self.rtol * scene.length_scale
         kept = state.kept if self.inertia else None
-        solution = newton(
-            scene, step, guess, self.linear, factor, tolerance, self.max_iterations, kept, held
-        )
+        solution = newton(scene, step, guess, self.linear, factor, tolerance, self.max_iterations, kept, held)
         mean_v = step.velocity(solution.x)
         _, mean_p = residual(scene, step, solution.x)
         x, v = _whole(theta, solution.x, state.x), _whole(theta, mean_v, state.v)
@@ -87,7 +87,8 @@ class VariableOrder(AbstractImplicit):
         acceleration = jnp.where(state.stage == IMPLICIT, step.acceleration(mean_v), (v - state.v) / h)
         return Attempt(
             x, v, p, acceleration, errors[1], cause, order, next_h, next_order,
-            solution.factor, state.kept if solution.kept is None else solution.kept, solution.iterations, solution.linear, solution.factors,
+            solution.factor, solution.kept or state.kept, solution.iterations, solution.linear,
+            solution.factors,
         )  # fmt: skip
 
     def _formula(self, scene: Scene, state: State, h: Array) -> "_Formula":
