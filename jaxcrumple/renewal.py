@@ -4,6 +4,7 @@ full."""
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from numpy.typing import ArrayLike
 
 from jaxcrumple.model.merger import Merger
@@ -18,6 +19,8 @@ _find_near = eqx.filter_jit(find_near)
 ROOM_PER_NODE = (2.0, 1.0, 32.0, 128.0)
 # and those of the smallest sheets.
 SMALLEST_ROOM = 1000
+# A list that grows has room for so many times what it must hold: to compile again takes longer than many steps.
+SOON = 1.5
 
 
 class Renewal:
@@ -54,11 +57,26 @@ class Renewal:
     def first(self, scene: Scene, state: State) -> tuple[Scene, State]:
         """Scene and state for the first call of `integrate`: a saved state finds the lists it had."""
         stale = eqx.tree_at(lambda s: s.listing.stale, state, jnp.asarray(True))
-        return self(_with_room(scene, self.room), stale)
+        scene, state = self(_with_room(scene, self.room), stale)
+        return _with_room(self.filled(scene, state.x), self.room), state
+
+    def filled(self, scene: Scene, x: Array) -> Scene:
+        """The scene with lists for positions `x` (n, 3), grown until they fit: an own program that compiles
+        faster than a run does."""
+        assert scene.contact is not None
+        if int(scene.contact.candidates.count) == 0:
+            return scene
+        slack = jnp.full(scene.n_nodes, SLACK * scene.contact.range)
+        while True:
+            assert scene.contact is not None
+            near = _find_near(scene.contact, x, slack)
+            if not np.any(near.overflow):
+                return with_near(scene, near)
+            scene = self.grown(scene, np.asarray(near.needed))
 
     def grown(self, scene: Scene, needed: np.ndarray) -> Scene:
-        """The scene with room for `needed` (3,), each doubled until that fits."""
-        self.room = Room(*map(_doubled, self.room, needed))
+        """The scene with room for `needed` (3,), each doubled until that fits, or would soon be too small."""
+        self.room = Room(*(_doubled(room, int(SOON * much)) for room, much in zip(self.room, needed)))
         return _with_room(scene, self.room)
 
     def searched(self, scene: Scene, listing: Listing) -> Scene:
@@ -104,10 +122,4 @@ def with_contacts(scene: Scene, x: ArrayLike) -> Scene:
     listing = first_listing(contact, jnp.asarray(x, float))
     renewal = Renewal(scene, merged=True)
     scene = _with_room(renewal.searched(scene, listing), renewal.room)
-    slack = jnp.full(scene.n_nodes, SLACK * contact.range)
-    while True:
-        assert scene.contact is not None
-        near = _find_near(scene.contact, listing.x, slack)
-        if not np.any(near.overflow):
-            return with_near(scene, near)
-        scene = renewal.grown(scene, np.asarray(near.needed))
+    return renewal.filled(scene, listing.x)

@@ -67,7 +67,7 @@ def renewed(scene: Scene, state: State, lists: Lists | None) -> tuple[State, Lis
         return near, whole(near)
 
     near, tight = jax.lax.cond(lists.due, anew, lambda: (lists.near, lists.tight))
-    full = eqx.tree_at(lambda s: s.listing.needed, state, jnp.where(near.overflow, near.needed, 0))
+    full = eqx.tree_at(lambda s: s.listing.needed, state, jnp.where(jnp.any(near.overflow), near.needed, 0))
     return full, Lists(near, tight, lists.slack, jnp.asarray(False))
 
 

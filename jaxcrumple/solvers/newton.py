@@ -106,10 +106,10 @@ def newton(
         # Without a contraction rate yet, quadratic convergence is trusted only for tiny updates.
         converged = (remaining < tolerance) | (update < 0.01 * tolerance)
         lost = ~jnp.isfinite(update) | (contraction > DIVERGENCE) | solution.indefinite
-        # With the tangent of an earlier step that says nothing yet.
+        # With the tangent of an earlier step that says nothing yet: start again with this step's own.
         again = lost & (kept.age > 0)
         return _Carry(
-            jnp.where(again, carry.x, carry.x + solution.x.reshape(carry.x.shape)),
+            jnp.where(again, guess, carry.x + solution.x.reshape(carry.x.shape)),
             factor,
             kept,
             carry.iterations + 1,
