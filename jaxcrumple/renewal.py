@@ -19,7 +19,8 @@ _find_near = eqx.filter_jit(find_near)
 ROOM_PER_NODE = (2.0, 1.0, 32.0, 128.0)
 # and those of the smallest sheets.
 SMALLEST_ROOM = 1000
-# A list that grows has room for so many times what it must hold: to compile again takes longer than many steps.
+# A list that grows has room for so many times what it must hold: to compile again takes longer than many
+# steps.
 SOON = 1.5
 
 
@@ -76,7 +77,8 @@ class Renewal:
 
     def grown(self, scene: Scene, needed: np.ndarray) -> Scene:
         """The scene with room for `needed` (3,), each doubled until that fits, or would soon be too small."""
-        self.room = Room(*(_doubled(room, int(SOON * much)) for room, much in zip(self.room, needed)))
+        sizes = zip(self.room, needed, strict=True)
+        self.room = Room(*(_doubled(room, int(SOON * much)) for room, much in sizes))
         return _with_room(scene, self.room)
 
     def searched(self, scene: Scene, listing: Listing) -> Scene:
