@@ -1,5 +1,6 @@
 """`integrate`: the stages of a scheme and the changes between them as one traced function."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -128,6 +129,14 @@ def _interrupted(carry: _Carry) -> Array:
     return jnp.asarray(False) if carry.lists is None else carry.lists.due
 
 
+def _when_ready(
+    scene: Scene, carry: _Carry, ahead: Array, attempt: Callable[[_Carry], Any], wait: Callable[[_Carry], Any]
+) -> Any:
+    """An `attempt` where the lists hold for a step to `ahead`; where not, `wait` until they are made."""
+    state, lists, ready = ready_for(scene, carry.state, carry.lists, ahead, carry.held)
+    return jax.lax.cond(ready, attempt, wait, carry._replace(state=state, lists=lists))
+
+
 def _tried(carry: _Carry, state: State, log: Log, factor, held: Array, cost: int, done: Array) -> _Carry:
     """The loop after another attempt."""
     return _Carry(state, carry.lists, log, factor, held, carry.spent + cost, carry.left - 1.0, done)
@@ -191,13 +200,11 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
     if scene.contact is None:
         return _implicit_attempt(scene, carry._replace(state=state), t_stop, solver, wanted, h, lands)
     ahead = solver.implicit.predict(scene, state, h)
-    state, lists, ready = ready_for(scene, state, carry.lists, ahead, carry.held)
-    carry = carry._replace(state=state, lists=lists)
 
-    def attempt() -> _Carry:
+    def attempt(carry: _Carry) -> _Carry:
         return _implicit_attempt(scene, carry, t_stop, solver, wanted, h, lands)
 
-    return jax.lax.cond(ready, attempt, lambda: carry)
+    return _when_ready(scene, carry._replace(state=state), ahead, attempt, lambda carry: carry)
 
 
 def _implicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted, h, lands) -> _Carry:
@@ -344,13 +351,14 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop, solver: Integrator, stag
         return _explicit_attempt(scene, carry._replace(state=state), t_stop, solver, wanted, stages, fresh)
     ahead = state.x + LOOK_AHEAD * wanted * state.v
     ahead = state.x + largest_move(scene, state.x, ahead) * (ahead - state.x)
-    state, lists, ready = ready_for(scene, state, carry.lists, ahead, carry.held)
-    carry = carry._replace(state=state, lists=lists)
 
-    def attempt():
+    def attempt(carry: _Carry):
         return _explicit_attempt(scene, carry, t_stop, solver, wanted, stages, fresh)
 
-    return jax.lax.cond(ready, attempt, lambda: (carry, stages, jnp.asarray(False)))
+    def wait(carry: _Carry):
+        return carry, stages, jnp.asarray(False)
+
+    return _when_ready(scene, carry._replace(state=state), ahead, attempt, wait)
 
 
 def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted, stages, fresh):
