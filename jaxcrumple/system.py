@@ -324,7 +324,7 @@ def _no_linearization(scene: Scene, history: History) -> Linearization:
     """One that no step may use."""
     nought, one = jnp.zeros(()), jnp.ones(())
     step = implicit_step(scene, history, jnp.zeros(HISTORY), one, nought, nought)
-    return Linearization(step, history.x[0], jnp.asarray(NEVER))
+    return Linearization(step, history.x[0], jnp.asarray(NEVER, int))
 
 
 def residual(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array | None]:

@@ -300,7 +300,12 @@ def _switched(state: State, stage: int, h: Array) -> State:
     state = eqx.tree_at(
         lambda s: (s.stage, s.monitor, s.counters.switches, s.kept.age),
         state,
-        (jnp.asarray(stage), fresh_monitor(state.monitor), state.counters.switches + 1, jnp.asarray(NEVER)),
+        (
+            jnp.asarray(stage),
+            fresh_monitor(state.monitor),
+            state.counters.switches + 1,
+            jnp.asarray(NEVER, int),
+        ),
     )
     if stage == EXPLICIT:
         return eqx.tree_at(lambda s: s.h_explicit, state, h)

@@ -75,7 +75,7 @@ def newton(
     below `tolerance` (m, maximum norm), or when the updates grow, or the tangent is indefinite, or after
     `max_iterations`.
     """
-    old = Linearization(step, guess, jnp.asarray(NEVER)) if kept is None else kept
+    old = Linearization(step, guess, jnp.asarray(NEVER, int)) if kept is None else kept
     usable = _usable(step, old) if linear.exact and kept is not None else jnp.asarray(False)
 
     def renewed(carry: _Carry) -> Factor:
