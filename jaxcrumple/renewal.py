@@ -59,7 +59,7 @@ class Renewal:
         """Scene and state for the first call of `integrate`: a saved state finds the lists it had."""
         stale = eqx.tree_at(lambda s: s.listing.stale, state, jnp.asarray(True))
         scene, state = self(_with_room(scene, self.room), stale)
-        return _with_room(self.filled(scene, state.x), self.room), state
+        return self.filled(scene, state.x), state
 
     def filled(self, scene: Scene, x: Array) -> Scene:
         """The scene with lists for positions `x` (n, 3), grown until they fit: an own program that compiles
@@ -89,7 +89,11 @@ class Renewal:
         triangles = np.zeros((self.candidates, 2), np.int32)
         triangles[: len(pairs)] = pairs
         found = Candidates(
-            jnp.asarray(triangles), jnp.asarray(len(pairs)), listing.x, listing.reach, jnp.asarray(folded)
+            jnp.asarray(triangles),
+            jnp.asarray(len(pairs), int),
+            listing.x,
+            listing.reach,
+            jnp.asarray(folded),
         )
         scene = eqx.tree_at(lambda s: s.contact.candidates, scene, found)
         if self.merger is None:

@@ -1,5 +1,7 @@
 """Keeping the lists of contact while a run goes on: nothing depends on when they were made."""
 
+import importlib
+
 import equinox as eqx
 import jax
 import numpy as np
@@ -23,8 +25,10 @@ def pressed_layers():
     return eqx.tree_at(lambda s: s.bending.rest_curvature, scene, creased), jc.initial_state(scene, x)
 
 
-def test_a_run_cut_anywhere_goes_on_to_the_same_bits():
-    """Also within the life of a factor that serves several steps, and of a list."""
+def test_a_run_cut_anywhere_goes_on_to_the_same_bits(monkeypatch):
+    """Also within the life of a factor that serves several steps, and of a list; and compiles nothing new."""
+    once = eqx.filter_jit(eqx.debug.assert_max_traces(jc.integrate, max_traces=1))
+    monkeypatch.setattr(importlib.import_module("jaxcrumple.simulate"), "_integrate", once)
     scene, state = pressed_layers()
     whole = jc.simulate(scene, state, 1.0, max_attempts=48).state
     before, after = state.counters, whole.counters

@@ -1,5 +1,5 @@
-"""Lists that are mostly empty: what their entries add up to, a chunk at a time, so that room costs
-nothing."""
+"""Lists that are mostly empty: what their entries add up to and which to keep, a chunk at a time, so that
+room costs nothing."""
 
 from collections.abc import Callable
 from typing import Any
@@ -49,3 +49,33 @@ def _derivative(primals, tangents, *, add, room: int, chunk: int):
 def _places(first: Array, room: int, chunk: int) -> Array:
     """Places (chunk,) from `first` on; those beyond the list are its last one or lie beyond its `count`."""
     return jnp.minimum(first + jnp.arange(chunk), room - 1)
+
+
+def compacted(
+    test: Callable[[Array], Array],
+    count: Array,
+    width: int,
+    size: int,
+    rows: int,
+    entries: Array | None = None,
+) -> tuple[Array, Array]:
+    """Places row * width + column where `test` holds, in order, 0 beyond, and how many there are; or the
+    `entries` (size,) of a list at these places.
+
+    `test` takes row numbers (k,) and returns (k, `width`) of a table whose first `count` rows count. It is
+    called for `rows` at a time, as often as there are such. Nothing of this is differentiated.
+    """
+
+    def body(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        chunk, kept, total = carry
+        at = chunk * rows + jnp.arange(rows)
+        flat = (test(jnp.minimum(at, count - 1)) & (at < count)[:, None]).reshape(-1)
+        order = total + jnp.cumsum(flat)
+        found = (jnp.arange(rows * width) + chunk * rows * width).astype(jnp.int32)
+        found = found if entries is None else entries[found]
+        return chunk + 1, kept.at[jnp.where(flat, order - 1, size)].set(found, mode="drop"), order[-1]
+
+    zero = jnp.asarray(0)
+    start = (zero, jnp.zeros(size, jnp.int32), zero)
+    _, kept, total = jax.lax.while_loop(lambda carry: carry[0] * rows < count, body, start)
+    return kept, total

@@ -18,7 +18,7 @@ from jax import Array
 
 from jaxcrumple.material import ModelConstants
 from jaxcrumple.mesh import Mesh
-from jaxcrumple.model.chunks import accumulate
+from jaxcrumple.model.chunks import accumulate, compacted
 from jaxcrumple.model.crossing import crosses
 from jaxcrumple.model.fans import Fans, build_fans
 from jaxcrumple.model.fields import as_float
@@ -214,19 +214,13 @@ class Contact(eqx.Module):
 
     def _kept(self, listed: Tight, x: Array, test: Callable[["_Pairs", Array, Any], Array], limits: Any):
         """Those pairs of a list (P,) that pass a `test` of their distance (p,), and how many they are."""
-        room = listed.picked.shape[0]
+        contact, listed, x, limits = jax.lax.stop_gradient((self, listed, x, limits))
 
-        def add(kept: tuple[Array, Array], arguments: tuple["Contact", Tight, Array, Any], at: Array):
-            (picked, count), (contact, listed, x, limits) = kept, arguments
-            pairs = contact._pairs(listed.picked[at], at < listed.count)
-            close = test(pairs, _separation(pairs, x)[1], limits) & (pairs.strength > 0)
-            order = count + jnp.cumsum(close)
-            place = jnp.where(close, order - 1, room)
-            return picked.at[place].set(listed.picked[at], mode="drop"), order[-1]
+        def close(at: Array) -> Array:
+            pairs = contact._pairs(listed.picked[at], jnp.ones_like(at, bool))
+            return (test(pairs, _separation(pairs, x)[1], limits) & (pairs.strength > 0))[:, None]
 
-        nothing = (jnp.zeros(room, jnp.int32), jnp.asarray(0))
-        still = jax.lax.stop_gradient((self, listed, x, limits))
-        return accumulate(add, nothing, still, listed.count, room, LISTED)
+        return compacted(close, listed.count, 1, listed.picked.shape[0], LISTED, listed.picked)
 
     def _pairs(self, picked: Array, held: Array) -> "_Pairs":
         """Pairs of sites (p,) as in `Near.picked`, of which those `held` (p,) are valid."""

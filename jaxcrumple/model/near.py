@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxcrumple.model.chunks import compacted
 from jaxcrumple.model.distance import TINY, primitive_distances, shared_parts
 from jaxcrumple.model.geometry import Vec, cross, dot, gather, scale, sub
 
@@ -50,9 +51,9 @@ class Candidates(eqx.Module):
         """Whether the list is that of positions `x` (n, 3) and `reach` (n,)."""
         return jnp.all(self.x == x) & jnp.all(self.reach == reach)
 
-    def covers(self, x: Array) -> Array:
-        """Whether no node is further away than its reach."""
-        return jnp.all(motion(self.x, x) <= self.reach)
+    def covers(self, x: Array, share: float = 1.0) -> Array:
+        """Whether no node is further away than this share of its reach."""
+        return jnp.all(motion(self.x, x) <= share * self.reach)
 
 
 class Near(eqx.Module):
@@ -88,9 +89,9 @@ class Near(eqx.Module):
         """The sizes of the list."""
         return Room(self.pairs.shape[0], self.found.shape[0], self.picked.shape[0])
 
-    def covers(self, x: Array) -> Array:
-        """Whether no node is further away than its slack, and all pairs fitted."""
-        return jnp.all(motion(self.x, x) <= self.slack) & ~jnp.any(self.overflow)
+    def covers(self, x: Array, share: float = 1.0) -> Array:
+        """Whether no node is further away than this share of its slack, and all pairs fitted."""
+        return jnp.all(motion(self.x, x) <= share * self.slack) & ~jnp.any(self.overflow)
 
 
 class Tight(eqx.Module):
@@ -102,9 +103,9 @@ class Tight(eqx.Module):
     x: Array
     slack: Array
 
-    def covers(self, x: Array) -> Array:
-        """Whether no node is further away than its slack."""
-        return jnp.all(motion(self.x, x) <= self.slack)
+    def covers(self, x: Array, share: float = 1.0) -> Array:
+        """Whether no node is further away than this share of its slack."""
+        return jnp.all(motion(self.x, x) <= share * self.slack)
 
 
 def whole(near: Near) -> Tight:
@@ -133,16 +134,16 @@ def motion(start: Array, end: Array) -> Array:
 def no_candidates(n: int, ways: int) -> Candidates:
     """A list that holds nowhere."""
     triangles, folded = jnp.zeros((1, 2), jnp.int32), jnp.zeros(ways, bool)
-    return Candidates(triangles, jnp.asarray(0), jnp.full((n, 3), jnp.nan), jnp.zeros(n), folded)
+    return Candidates(triangles, jnp.zeros((), int), jnp.full((n, 3), jnp.nan, float), jnp.zeros(n), folded)
 
 
 def no_neighbors(n: int, room: Room = SMALLEST) -> Near:
     """A list that holds nowhere."""
-    t, zero = room.triangles, jnp.asarray(0)
+    t, zero = room.triangles, jnp.zeros((), int)
     return Near(
         jnp.zeros(t, jnp.int32), jnp.zeros((t, 2), jnp.int32), jnp.zeros(t), zero,
         jnp.zeros(room.sites, jnp.int32), jnp.zeros(room.pairs, jnp.int32), zero,
-        jnp.full((n, 3), jnp.nan), jnp.zeros(n), jnp.zeros(3, int),
+        jnp.full((n, 3), jnp.nan, float), jnp.zeros(n), jnp.zeros(3, int),
     )  # fmt: skip
 
 
@@ -164,7 +165,7 @@ def find_near(contact: "Contact", x: Array, slack: Array) -> Near:
     def close(at: Array) -> Array:
         return (_distances(x, first[at], second[at])[0] <= reach[at])[:, None]
 
-    pairs, pair_count = _compact(close, candidates.count, 1, room.triangles, PAIRS)
+    pairs, pair_count = compacted(close, candidates.count, 1, room.triangles, PAIRS)
     first, second, reach = first[pairs], second[pairs], reach[pairs]
 
     def site_close(at: Array) -> Array:
@@ -173,7 +174,7 @@ def find_near(contact: "Contact", x: Array, slack: Array) -> Near:
 
     count = contact.weights.shape[0]
     rows = max(SITES // count, 1)
-    found, found_count = _compact(site_close, pair_count, count, room.sites, rows)
+    found, found_count = compacted(site_close, pair_count, count, room.sites, rows)
     owner, site = found // count, found % count
 
     def sites_close(at: Array) -> Array:
@@ -184,7 +185,7 @@ def find_near(contact: "Contact", x: Array, slack: Array) -> Near:
         apart = _squared(contact.weights, contact.rest, one, weights, two)
         return near & (apart >= (EXCLUSION * contact.range) ** 2)
 
-    picked, total = _compact(sites_close, found_count, count, room.pairs, rows)
+    picked, total = compacted(sites_close, found_count, count, room.pairs, rows)
     return Near(
         pairs=pairs,
         triangles=candidates.triangles[pairs],
@@ -205,29 +206,6 @@ def _distances(x: Array, first: Array, second: Array) -> tuple[Array, Array]:
     shared = shared_parts(first, second)
     whole = jnp.where(jnp.any(shared, axis=0), 0.0, jnp.sqrt(jnp.min(parts, axis=0)))
     return whole, jnp.sqrt(jnp.min(jnp.where(shared, jnp.inf, parts), axis=0))
-
-
-def _compact(test: Callable[[Array], Array], count: Array, width: int, size: int, rows: int):
-    """Places row * width + column where `test` holds, in order, 0 beyond, and how many there are.
-
-    `test` takes row numbers (k,) and returns (k, `width`) of a table whose first `count` rows count. It is
-    called for `rows` at a time, as often as there are such, so that room costs nothing.
-    """
-
-    def body(carry):
-        chunk, places, total = carry
-        at = chunk * rows + jnp.arange(rows)
-        holds = test(jnp.minimum(at, count - 1)) & (at < count)[:, None]
-        flat = holds.reshape(-1)
-        order = total + jnp.cumsum(flat)
-        found = (jnp.arange(rows * width) + chunk * rows * width).astype(jnp.int32)
-        places = places.at[jnp.where(flat, order - 1, size)].set(found, mode="drop")
-        return chunk + 1, places, order[-1]
-
-    zero = jnp.asarray(0)
-    start = (zero, jnp.zeros(size, jnp.int32), zero)
-    _, places, total = jax.lax.while_loop(lambda c: c[0] * rows < count, body, start)
-    return places, total
 
 
 def _fill(value: Callable[[Array], Array], count: Array, size: int) -> Array:

@@ -77,7 +77,7 @@ def _tree_pairs(center: np.ndarray, radius: np.ndarray, room: np.ndarray, sigma:
     tree = cKDTree(center)
     common = np.quantile(room, 1.0 - FAST)
     usual = 2.0 * radius.max() + sigma + 2.0 * common
-    pairs = [_apart(center, radius + room, sigma, tree.query_pairs(usual, output_type="ndarray").T, 0.0)]
+    pairs = [_in_balls(center, radius + room, sigma, tree.query_pairs(usual, output_type="ndarray").T, 0.0)]
     fast = np.flatnonzero(room > common)
     near = tree.query_ball_point(center[fast], radius[fast] + radius.max() + sigma + 2.0 * room[fast])
     one = np.repeat(fast, np.fromiter(map(len, near), int, len(fast)))
@@ -85,11 +85,11 @@ def _tree_pairs(center: np.ndarray, radius: np.ndarray, room: np.ndarray, sigma:
     # Of two fast ones each finds the other.
     once = (one < two) | (room[two] <= common)
     one, two = np.minimum(one, two)[once], np.maximum(one, two)[once]
-    pairs.append(_apart(center, radius + room, sigma, (one, two), (1.0 - 1e-9) * usual))
+    pairs.append(_in_balls(center, radius + room, sigma, (one, two), (1.0 - 1e-9) * usual))
     return np.concatenate(pairs)
 
 
-def _apart(center: np.ndarray, size: np.ndarray, sigma: float, pairs, least: float) -> np.ndarray:
+def _in_balls(center: np.ndarray, size: np.ndarray, sigma: float, pairs, least: float) -> np.ndarray:
     """Those of the `pairs` (2, m), as (k, 2), whose balls of `size` come within sigma, further than `least`
     apart."""
     one, two = (np.asarray(side, np.int64) for side in pairs)

@@ -66,7 +66,7 @@ class AbstractImplicit(eqx.Module):
         """Positions (n, 3) after a step of size `h` s as the history tells."""
 
     @abc.abstractmethod
-    def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array | bool) -> Attempt:
+    def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array) -> Attempt:
         """Try a step of size `h` s in the state's stage; `held`: whether `factor` is of `state.kept`."""
 
 

@@ -88,10 +88,8 @@ def ready_for(
     contact, listing = scene.contact, state.listing
     if contact is None or listing is None or lists is None:
         return state, None, jnp.asarray(True)
-    candidates, near = contact.candidates, lists.near
-    within = jnp.all(motion(candidates.x, ahead) <= USED * candidates.reach)
     blunt = contact.sharpest(scene.bending.hinges(state.x).theta) < DUE_TURN
-    stale = ~(within & blunt)
+    stale = ~(contact.candidates.covers(ahead, USED) & blunt)
     moved = motion(state.x, ahead)
     reach = REACH * contact.range + STEPS * moved
     least = REACH * contact.range + FEWEST * moved
@@ -99,11 +97,11 @@ def ready_for(
     wanted = Listing(
         jnp.where(stale, state.x, listing.x), jnp.where(stale, reach, listing.reach), stale, listing.needed
     )
-    holds, back = jnp.all(motion(near.x, ahead) <= USED * near.slack), _back(state, held)
+    holds, back = lists.near.covers(ahead, USED), _back(state, held)
     slack = jnp.where(holds, lists.slack, jnp.maximum(slack_for(contact, state.x, ahead), back))
     state = eqx.tree_at(lambda s: s.listing, state, wanted)
     tight = _tight_for(contact, state, lists, ahead, back)
-    return state, Lists(near, tight, slack, ~holds), holds & ~stale
+    return state, Lists(lists.near, tight, slack, ~holds), holds & ~stale
 
 
 def _back(state: State, held: Array) -> Array:
@@ -115,7 +113,7 @@ def _tight_for(contact: Contact, state: State, lists: Lists, ahead: Array, back:
     """The tight list, made anew where it does not hold for a step to `ahead` (n, 3) or holds too much."""
     slack = jnp.maximum(slack_for(contact, state.x, ahead, TIGHT_SLACK), back)
     tight = lists.tight
-    held = jnp.all(motion(tight.x, ahead) <= USED * tight.slack) & (jnp.max(back) == 0)
+    held = tight.covers(ahead, USED) & (jnp.max(back) == 0)
     loose = jnp.max(tight.slack) > LOOSE * jnp.max(slack)
     return jax.lax.cond(held & ~loose, lambda: tight, lambda: contact.tightened(state.x, slack))
 

@@ -13,8 +13,8 @@ from jaxcrumple.system import NEVER, ImplicitStep, Linearization, linearize, res
 
 # An iteration that grows by more than this factor has left the basin of the root.
 DIVERGENCE = 2.0
-# A kept tangent that shrinks the update by less than this is renewed.
-SLOW = 0.5
+# A kept tangent is renewed where so many more iterations with it would not do: it costs as much as these.
+PATIENCE = 4
 # A tangent of an earlier step is kept for so many steps with inertia, while beta h stays within this ratio.
 MOST_STEPS, RATIO = 20, 0.6
 # Forcing term: relative residual to which each linear system is solved. A direct solver meets it with
@@ -63,8 +63,8 @@ def newton(
     factor: Factor,
     tolerance: Array,
     max_iterations: int,
-    kept: Linearization | None = None,
-    held: Array | bool = True,
+    kept: Linearization | None,
+    held: Array,
 ) -> NewtonSolution:
     """Find x with zero residual, with the exact tangent.
 
@@ -116,7 +116,7 @@ def newton(
             carry.linear + solution.iterations,
             carry.factors + carry.renew,
             jnp.where(again, jnp.inf, update),
-            again | ((contraction > SLOW) & ~first),
+            again | (~first & (remaining * contraction**PATIENCE > tolerance)),
             jnp.zeros_like(carry.restore),
             converged & ~lost,
             lost & ~again,

@@ -36,18 +36,16 @@ class BDFPair(AbstractImplicit):
         guess = jnp.tensordot(extrapolation(h, history.steps, points), history.x, 1)
         return guess if scene.prescribed is None else scene.prescribed.position(guess, state.t + h)
 
-    def attempt(
-        self, scene: Scene, state: State, h: Array, factor: Factor, held: Array | bool = False
-    ) -> Attempt:
+    def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array) -> Attempt:
         """Try a step of size `h` s."""
         history = state.history
         order = jnp.clip(history.count, 1, ORDER)
         step = _equations(scene, state, h, order)
-        solution = self._newton(scene, step, self.predict(scene, state, h), factor)
+        solution = self._newton(scene, step, self.predict(scene, state, h), factor, held)
         x, v = solution.x, step.velocity(solution.x)
         _, p = residual(scene, step, x)
         lower = _equations(scene, state, h, jnp.maximum(order - 1, 1))
-        second = self._newton(scene, lower, x, solution.factor)
+        second = self._newton(scene, lower, x, solution.factor, held)
         first_step = self._first_error(scene, state, step, x, h, second.factor)
         error = self._error(scene, state, h, order, (x, p), lower, second, first_step)
         both = solution._replace(
@@ -62,9 +60,11 @@ class BDFPair(AbstractImplicit):
             solution.factors + second.factors,
         )  # fmt: skip
 
-    def _newton(self, scene: Scene, step: ImplicitStep, guess: Array, factor: Factor) -> NewtonSolution:
+    def _newton(
+        self, scene: Scene, step: ImplicitStep, guess: Array, factor: Factor, held: Array
+    ) -> NewtonSolution:
         tolerance = self.newton_share * LOCAL_SHARE * self.rtol * scene.length_scale
-        return newton(scene, step, guess, self.linear, factor, tolerance, self.max_iterations)
+        return newton(scene, step, guess, self.linear, factor, tolerance, self.max_iterations, None, held)
 
     def _first_error(self, scene: Scene, state: State, step: ImplicitStep, x, h, factor: Factor) -> Array:
         """Distance from an explicit Euler step, less what decays within the step (the tangent knows)."""

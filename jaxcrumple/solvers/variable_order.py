@@ -65,9 +65,7 @@ class VariableOrder(AbstractImplicit):
         """Positions (n, 3) after a step of size `h` s as the history tells."""
         return _predicted(scene, state, h, self._orders(scene, state, h).used)
 
-    def attempt(
-        self, scene: Scene, state: State, h: Array, factor: Factor, held: Array | bool = False
-    ) -> Attempt:
+    def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array) -> Attempt:
         """Try a step of size `h` s in the state's stage."""
         formula = self._formula(scene, state, h)
         theta, step, order = formula.theta, formula.step, formula.orders.used
