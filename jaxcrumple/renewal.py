@@ -50,7 +50,9 @@ class Renewal:
         if needed.any():
             scene = self.grown(scene, needed)
         if bool(listing.stale):
-            scene = self.searched(scene, listing)
+            before, scene = self.candidates, self.searched(scene, listing)
+            # What compiles again for more candidates need not do so soon again for the lists made of them.
+            scene = self.filled(scene, listing.x) if self.candidates > before else scene
         no = jnp.asarray(False)
         served = Listing(listing.x, listing.reach, no, jnp.zeros(3, int))
         return scene, eqx.tree_at(lambda s: s.listing, state, served)

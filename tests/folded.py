@@ -4,14 +4,25 @@ import numpy as np
 
 import jaxcrumple as jc
 
+COLUMNS, ROWS, STEP = (9, 9), 5, 1.1e-3
 
-def strip(gap: float, columns: int = 9, rows: int = 5, step: float = 1.1e-3) -> jc.Mesh:
-    """A flat strip of crossed rectangles with two columns `gap` apart in its middle, where `folded` folds
-    it."""
-    side = gap / 2.0 + step * np.arange(columns)
-    s = np.concatenate([-side[::-1], side])
-    y = step * (np.arange(rows) - 0.5 * (rows - 1))
-    points = np.stack(np.meshgrid(s, y, indexing="ij"), axis=-1).reshape(-1, 2)
+
+def strip(
+    gap: float,
+    columns: tuple[int, ...] = COLUMNS,
+    rows: int = ROWS,
+    step: float = STEP,
+    pitch: float | None = None,
+) -> jc.Mesh:
+    """A flat strip of crossed rectangles, `step` m wide and `pitch` m high, of several layers of so many
+    `columns` each, `gap` m apart, where `folded` folds it.
+
+    The rectangles of all strips with as many columns in sum are connected in the same way.
+    """
+    s = np.arange(sum(columns)) * step
+    s += np.repeat(np.arange(len(columns)), columns) * (gap - step)
+    y = (step if pitch is None else pitch) * (np.arange(rows) - 0.5 * (rows - 1))
+    points = np.stack(np.meshgrid(s - s.mean(), y, indexing="ij"), axis=-1).reshape(-1, 2)
     faces = []
     for i in range(len(s) - 1):
         for j in range(rows - 1):
@@ -20,12 +31,25 @@ def strip(gap: float, columns: int = 9, rows: int = 5, step: float = 1.1e-3) -> 
     return jc.Mesh.from_arrays(points, faces)
 
 
-def folded(mesh: jc.Mesh, gap: float) -> np.ndarray:
-    """Positions (n, 3) of a `strip` with two creases of 90 degrees: two layers `gap` apart, nothing
-    stretched."""
+def layer_of(columns: tuple[int, ...] = COLUMNS, rows: int = ROWS) -> np.ndarray:
+    """The layer (n,) of a strip's nodes, 0 the lowest."""
+    return np.repeat(np.arange(len(columns)), np.array(columns) * rows)
+
+
+def folded(mesh: jc.Mesh, gap: float, columns: tuple[int, ...] = COLUMNS) -> np.ndarray:
+    """Positions (n, 3) of a `strip` with creases of 90 degrees: layers `gap` apart, nothing stretched, their
+    folds in the yz-plane in turn left and right."""
+    layer = layer_of(columns, mesh.n_nodes // sum(columns))
     x = mesh.vertices.copy()
-    x[:, 2] = np.clip(x[:, 0], -gap / 2.0, gap / 2.0)
-    x[:, 0] = -(np.abs(x[:, 0]) - gap / 2.0)
+    ends = [x[layer == k, 0] for k in range(len(columns))]
+    z, right = 0.0, 0.0
+    for k, part in enumerate(ends):
+        way = -1.0 if k % 2 else 1.0
+        x[layer == k, 2] = z
+        x[layer == k, 0] = right + way * (part - part.min())
+        right, z = right + way * (part.max() - part.min()), z + gap
+    x[:, 2] -= 0.5 * (z - gap)
+    x[:, 0] -= ends[0].max() - ends[0].min()
     return x
 
 

@@ -11,14 +11,14 @@ import jaxcrumple as jc
 from jaxcrumple.model.geometry import curvature
 from jaxcrumple.system import IMPLICIT
 
-SIGMA = 0.5e-3
+SIGMA, COLUMNS = 0.5e-3, (5, 5)
 
 
 def pressed_layers():
     """An elastic sheet with two creases that it has at rest, and its start, at which its layers push one
     another apart."""
-    mesh = strip(0.95 * SIGMA, columns=5, rows=4)
-    x = folded(mesh, 0.95 * SIGMA)
+    mesh = strip(0.95 * SIGMA, columns=COLUMNS, rows=4)
+    x = folded(mesh, 0.95 * SIGMA, COLUMNS)
     material = jc.Material(thickness=0.3e-3, yield_curvature=None)
     scene = jc.sheet(mesh, material, contact=jc.SelfContact(range=SIGMA, level=3))
     creased = curvature(scene.bending.hinges(x).theta)

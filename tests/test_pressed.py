@@ -4,23 +4,21 @@ fails."""
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from folded import folded, strip
+from folded import folded, layer_of, strip
 
 import jaxcrumple as jc
 from jaxcrumple.measure import count_intersections, edge_strain
 
-# Each takes minutes still.
-pytestmark = pytest.mark.slow
-
 SIGMA, THICKNESS, DENSITY, G = 0.5e-3, 0.3e-3, 1000.0, 9.81
 UP = np.array([0.0, 0.0, 1.0])
 FAR = 1.0
+LOWER, UPPER = (layer_of() == k for k in range(2))
 
 
 def scene(mesh, floor=-FAR, ceiling=FAR, gravity=0.0, sinks=0.0, drag=1e3):
     """A self-avoiding elastic sheet between two planes in m, of which the upper one sinks, in m/s.
 
-    All scenes have the same terms, so that one program serves them.
+    All scenes have the same terms and as many nodes, so that one program serves them.
     """
     material = jc.Material(thickness=THICKNESS, density=DENSITY, yield_curvature=None, drag_rate=drag)
     walls = [jc.Plane(UP, floor), jc.Plane(-UP, jc.Ramp(-ceiling, sinks))]
@@ -29,7 +27,6 @@ def scene(mesh, floor=-FAR, ceiling=FAR, gravity=0.0, sinks=0.0, drag=1e3):
 
 
 def ran(sheet, x, times, v=None, **options):
-    """A run that must succeed without the sheet passing through itself in any frame."""
     return jc.simulate(sheet, jc.initial_state(sheet, x, v), times, **options)
 
 
@@ -38,9 +35,29 @@ def sound(mesh, solution):
     return solution.result == "success" and all(count_intersections(mesh, x) == 0 for x in solution.x)
 
 
-def upper(mesh):
-    """Nodes of the upper layer of a folded strip."""
-    return mesh.vertices[:, 0] > 0
+@pytest.mark.parametrize(
+    ("columns", "step", "pitch"),
+    [
+        pytest.param((9, 9), 2.2 * SIGMA, None, id="two layers"),
+        pytest.param((5, 4, 4, 5), 2.2 * SIGMA, None, id="four layers"),
+        pytest.param((9, 9), 2.2 * SIGMA, 0.1 * SIGMA, id="needles"),
+        pytest.param((9, 9), 0.6 * SIGMA, None, id="range above the spacing"),
+    ],
+)
+def test_layers_crushed_between_planes(columns, step, pitch):
+    start, end, duration = 0.95 * SIGMA, 0.7 * SIGMA, 0.02
+    mesh = strip(start, columns, step=step, pitch=pitch)
+    gaps, soft = len(columns) - 1, 0.9 * THICKNESS
+    top = 0.5 * gaps * start + soft
+    sheet = scene(mesh, -top, top, sinks=(gaps * (start - end) + THICKNESS) / duration)
+    solution = ran(sheet, folded(mesh, start, columns), np.linspace(0, duration, 5)[1:])
+    assert sound(mesh, solution)
+    # The planes bear the layers' pressure, and the layers lie as they lay, closer.
+    x, layer = solution.x[-1], layer_of(columns)
+    heights = np.array([np.mean(x[layer == k, 2]) for k in range(len(columns))])
+    assert np.all((np.diff(heights) > 0.5 * SIGMA) & (np.diff(heights) < start))
+    assert solution.history["contact"].iloc[-1] > solution.history["contact"].iloc[0]
+    assert all(float(wall.gap(jnp.asarray(x), duration).min()) > 0 for wall in sheet.walls)
 
 
 def test_two_layers_under_a_thousand_weights_bear_them_by_pressure():
@@ -53,10 +70,10 @@ def test_two_layers_under_a_thousand_weights_bear_them_by_pressure():
     end = jnp.asarray(solution.x[-1])
     force = np.asarray(jc.with_contacts(sheet, end).contact.force(end))
     # The contact bears the upper layer but for what the crease carries.
-    weight = float(np.sum(np.asarray(sheet.mass)[upper(mesh)])) * load
-    assert force[upper(mesh), 2].sum() == pytest.approx(weight, rel=0.1)
-    inner = upper(mesh) & (mesh.vertices[:, 0] > 3e-3) & (mesh.vertices[:, 0] < 7e-3)
-    gap = np.median(end[inner, 2]) - np.median(end[~upper(mesh) & (mesh.vertices[:, 0] < -3e-3), 2])
+    weight = float(np.sum(np.asarray(sheet.mass)[UPPER])) * load
+    assert force[UPPER, 2].sum() == pytest.approx(weight, rel=0.1)
+    inner = UPPER & (mesh.vertices[:, 0] > 3e-3) & (mesh.vertices[:, 0] < 7e-3)
+    gap = np.median(end[inner, 2]) - np.median(end[LOWER & (mesh.vertices[:, 0] < -3e-3), 2])
     assert 0.8 * SIGMA < gap < SIGMA
 
 
@@ -83,7 +100,7 @@ def test_a_fold_pressed_to_its_range_opens_again():
 def test_a_fast_fold_does_not_pass_through_itself():
     mesh = strip(4.0 * SIGMA)
     x = folded(mesh, 4.0 * SIGMA)
-    v = np.where(upper(mesh)[:, None], -10.0 * UP, 0.0)
+    v = np.where(UPPER[:, None], -10.0 * UP, 0.0)
     solution = ran(scene(mesh), x, np.linspace(0, 1e-3, 6)[1:], v)
     assert sound(mesh, solution)
     # The layers met, 1.5 mm apart at 10 m/s, and what was the upper one is still above.

@@ -40,7 +40,7 @@ WIDEST_CORE = 0.75
 # Room for motion that a bound of the stiffness leaves: distances are taken to be this much of what they are.
 CLOSER = 0.98
 # How far, in ranges, a node may move in a step, less the sheet's mean motion: lists for more hold too much.
-STRIDE = 2.0
+STRIDE = 1.0
 # Share of the lowest triangle's height that separates triangles without a common node in a flat sheet.
 CALM = 0.8
 # Pairs of sites that are looked at together: those in the list, and those that interact.

@@ -13,24 +13,19 @@ from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers import explicit
 from jaxcrumple.solvers.bdf import push
+from jaxcrumple.solvers.handover import Handover, after_explicit, after_implicit, handed_over, row, stay
 from jaxcrumple.solvers.implicit import Attempt, aligns
 from jaxcrumple.solvers.linear import Factor
 from jaxcrumple.solvers.lists import Lists, largest_move, listed, ready_for, renewed, start_lists, waits
-from jaxcrumple.solvers.log import AFTER, BEFORE, STEP, Log, Row, append, empty_log
+from jaxcrumple.solvers.log import STEP, Log, append, empty_log
 from jaxcrumple.solvers.scheme import Integrator
-from jaxcrumple.solvers.switch import fresh_monitor, has_settled, observe, wants_inertia
+from jaxcrumple.solvers.switch import observe
 from jaxcrumple.system import (
     CAUSES,
     EXPLICIT,
-    IMPLICIT,
-    NEVER,
-    QUASISTATIC,
     RESULTS,
     Counters,
     State,
-    energies,
-    rates,
-    restart_history,
 )
 
 # Cost units: a call ends after BUDGET units, so that its caller can save, and reports in between.
@@ -39,16 +34,6 @@ IMPLICIT_COST, EXPLICIT_COST = 32, 1
 # One explicit step in this many is logged: they are short and many.
 EXPLICIT_LOG_EVERY = 16
 LOG_CAPACITY = BUDGET // IMPLICIT_COST + BUDGET // EXPLICIT_LOG_EVERY + 64
-# A quasistatic step below this share of the explicit stability limit hands over: to integrate the
-# motion is cheaper then. Not 1, because a start at low order may need a few steps that short.
-COLLAPSE = 0.05
-# An equilibrium that even steps of this share of m/b_iso cannot follow is lost: inertia takes over. Larger
-# values hand over earlier than the accelerations ask for, and the answer then differs by more than rtol.
-LOST = 0.02
-# An implicit step costs as much as this many explicit ones; one that is not longer gives way to them.
-BREAK_EVEN = 10
-# Explicit steps, in stability limits, before the implicit stage is tried again.
-SPELL = 200
 # Steps of a stage from one measurement of the stability limit to the next: it follows the folding.
 LIMIT_EVERY = 32
 # Lists of contact are made to hold for this many explicit steps.
@@ -63,6 +48,8 @@ class _Carry(NamedTuple):
     log: Log
     factor: Factor | None
     held: Array
+    handover: Handover
+    measured: Array
     spent: Array
     left: Array
     done: Array
@@ -87,13 +74,21 @@ def integrate(
     state = eqx.tree_at(lambda s: (s.h, s.stage), state, (start_h, stage))
     factor = None if solver.implicit is None else solver.implicit.linear.start(scene.pattern)
     left, log = as_float(max_attempts), empty_log(LOG_CAPACITY)
-    carry = _Carry(state, lists, log, factor, jnp.asarray(False), jnp.asarray(0), left, state.t >= t_stop)
+    no, nothing = jnp.asarray(False), jnp.asarray(0)
+    carry = _Carry(state, lists, log, factor, no, stay(state), no, nothing, left, state.t >= t_stop)
 
     def stages(carry: _Carry) -> _Carry:
         carry = _renewed(scene, carry)
         if solver.implicit is not None:
             carry = _implicit_stages(scene, carry, t_stop, solver)
-        return _explicit_stage(scene, carry, t_stop, solver) if solver.has(EXPLICIT) else carry
+        if solver.has(EXPLICIT):
+            carry = _explicit_stage(scene, carry, t_stop, solver)
+        if len(solver.stages) == 1:
+            return carry
+        now = listed(scene, carry.lists)
+        state, log = handed_over(now, carry.state, carry.log, carry.handover)
+        measured = carry.measured & (carry.handover.stage == carry.state.stage)
+        return carry._replace(state=state, log=log, handover=stay(state), measured=measured)
 
     end = jax.lax.while_loop(_going, stages, carry)
     if solver.implicit is not None and end.factor is not None:
@@ -102,20 +97,29 @@ def integrate(
 
 
 def _renewed(scene: Scene, carry: _Carry) -> _Carry:
-    """The loop before its next steps: lists made anew where due, forces found finite."""
+    """The loop before its next steps: lists made anew and the stability limit measured where that is due.
+
+    The limit is part of the state, so that a run cut anywhere goes on with the same numbers.
+    """
     state, lists = renewed(scene, carry.state, carry.lists)
-    unsound = ~_is_sound(listed(scene, lists), state) & ~waits(state)
-    return carry._replace(state=_with_result(state, unsound, RESULTS.nonfinite), lists=lists)
+    now, waiting = listed(scene, lists), waits(state)
+    due = _limit_is_due(carry) & ~waiting
+    limit = jax.lax.cond(due, lambda: explicit.stability_limit(now, state.x, state.t), lambda: state.limit)
+    state = eqx.tree_at(lambda s: s.limit, state, limit)
+    unsound = ~_is_sound(scene, state) & ~waiting
+    state = _with_result(state, unsound, RESULTS.nonfinite)
+    return carry._replace(state=state, lists=lists, measured=carry.measured | due)
+
+
+def _limit_is_due(carry: _Carry) -> Array:
+    """Whether the stability limit must be measured before the next step."""
+    return (carry.state.monitor.steps % LIMIT_EVERY == 0) & ~carry.measured
 
 
 def _is_sound(scene: Scene, state: State) -> Array:
-    """Whether rates, scales and stability limit are finite: where they are not, no step can end well."""
-    numbers = (
-        rates(scene, state.x, state.v, state.p, state.t),
-        explicit.stability_limit(scene, state.x, state.t),
-        (scene.reference_acceleration, scene.velocity_scale, scene.length_scale),
-    )
-    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(numbers)]))
+    """Whether stability limit and scales are finite: where they are not, no step can end well."""
+    numbers = (state.limit, scene.reference_acceleration, scene.velocity_scale, scene.length_scale)
+    return jnp.all(jnp.isfinite(jnp.stack(numbers)))
 
 
 def _going(carry: _Carry) -> Array:
@@ -125,8 +129,9 @@ def _going(carry: _Carry) -> Array:
 
 
 def _interrupted(carry: _Carry) -> Array:
-    """Whether the lists must be made anew before the next step."""
-    return jnp.asarray(False) if carry.lists is None else carry.lists.due
+    """Whether something is due before the next step: another stage, the stability limit, or lists."""
+    over = (carry.handover.stage != carry.state.stage) | _limit_is_due(carry)
+    return over if carry.lists is None else over | carry.lists.due
 
 
 def _when_ready(
@@ -137,9 +142,19 @@ def _when_ready(
     return jax.lax.cond(ready, attempt, wait, carry._replace(state=state, lists=lists))
 
 
-def _tried(carry: _Carry, state: State, log: Log, factor, held: Array, cost: int, done: Array) -> _Carry:
+def _tried(
+    carry: _Carry, state: State, log: Log, handover: Handover, cost: int, accepted: Array, lands: Array
+) -> _Carry:
     """The loop after another attempt."""
-    return _Carry(state, carry.lists, log, factor, held, carry.spent + cost, carry.left - 1.0, done)
+    return carry._replace(
+        state=state,
+        log=log,
+        handover=handover,
+        measured=carry.measured & ~accepted,
+        spent=carry.spent + cost,
+        left=carry.left - 1.0,
+        done=accepted & lands,
+    )
 
 
 def _clip_step(t: Array, h: Array, t_stop: Array) -> tuple[Array, Array]:
@@ -147,16 +162,6 @@ def _clip_step(t: Array, h: Array, t_stop: Array) -> tuple[Array, Array]:
     left = t_stop - t
     lands = h >= left * (1.0 - 1e-9)
     return jnp.where(lands, left, jnp.where(h > 0.5 * left, 0.5 * left, h)), lands
-
-
-def _row(scene: Scene, state: State, kind: int, h, order, error) -> Row:
-    parts = energies(scene, state.x, state.v, state.p, state.t)
-    monitor, count = state.monitor, state.counters
-    steps = (count.steps[QUASISTATIC], count.steps[IMPLICIT], count.steps[EXPLICIT])
-    return Row(
-        kind, state.t, state.stage, h, monitor.ratios[0], jnp.mean(monitor.ratios), *parts,
-        order, error, count.newton, count.linear, count.factors, *steps, jnp.sum(count.rejected),
-    )  # fmt: skip
 
 
 def _select(keep: Array, new, old):
@@ -175,20 +180,9 @@ def _implicit_stages(scene: Scene, carry: _Carry, t_stop: Array, solver: Integra
     return jax.lax.while_loop(unfinished, body, carry)
 
 
-def _with_limit(scene: Scene, state: State) -> State:
-    """The state with the stability limit measured, where that is due.
-
-    It is part of the state, so that a run cut anywhere goes on with the same numbers.
-    """
-    due = state.monitor.steps % LIMIT_EVERY == 0
-    limit = jax.lax.cond(due, lambda: explicit.stability_limit(scene, state.x, state.t), lambda: state.limit)
-    return eqx.tree_at(lambda s: s.limit, state, limit)
-
-
 def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
     assert solver.implicit is not None
-    scene = listed(scene, carry.lists)
-    state = _with_limit(scene, carry.state)
+    scene, state = listed(scene, carry.lists), carry.state
     wanted = jnp.minimum(state.h, solver.max_step)
     # The step that aligns the velocity with the forces is as short as an explicit one.
     aligning = aligns(state)
@@ -198,13 +192,13 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
         wanted = wanted * largest_move(scene, state.x, ahead)
     h, lands = _clip_step(state.t, wanted, t_stop)
     if scene.contact is None:
-        return _implicit_attempt(scene, carry._replace(state=state), t_stop, solver, wanted, h, lands)
+        return _implicit_attempt(scene, carry, t_stop, solver, wanted, h, lands)
     ahead = solver.implicit.predict(scene, state, h)
 
     def attempt(carry: _Carry) -> _Carry:
         return _implicit_attempt(scene, carry, t_stop, solver, wanted, h, lands)
 
-    return _when_ready(scene, carry._replace(state=state), ahead, attempt, lambda carry: carry)
+    return _when_ready(scene, carry, ahead, attempt, lambda carry: carry)
 
 
 def _implicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted, h, lands) -> _Carry:
@@ -225,10 +219,12 @@ def _implicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, w
         moved,
         (suggested, tried.next_order, tried.kept, counters),
     )
-    log = append(carry.log, _row(scene, moved, STEP, h, tried.order, tried.error), tried.accepted)
-    moved, log = _change_stage(scene, moved, log, tried, solver)
-    held = jnp.ones_like(carry.held)
-    return _tried(carry, moved, log, tried.factor, held, IMPLICIT_COST, tried.accepted & lands)
+    log = append(carry.log, row(scene, moved, STEP, h, tried.order, tried.error), tried.accepted)
+    handover = after_implicit(scene, moved, tried.accepted, tried.cause, solver)
+    hopeless = ~tried.accepted & (handover.stage != EXPLICIT) & _is_tiny(moved.h, moved.t)
+    moved = _given_up(moved, hopeless, tried.cause)
+    carry = carry._replace(factor=tried.factor, held=jnp.ones_like(carry.held))
+    return _tried(carry, moved, log, handover, IMPLICIT_COST, tried.accepted, lands)
 
 
 def _moved(scene: Scene, state: State, tried: Attempt, h: Array, t: Array, solver: Integrator) -> State:
@@ -247,30 +243,6 @@ def _moved(scene: Scene, state: State, tried: Attempt, h: Array, t: Array, solve
     return _select(tried.accepted, moved, state)
 
 
-def _change_stage(scene: Scene, state: State, log: Log, tried: Attempt, solver: Integrator):
-    """Hand over after an implicit step where its stage cannot or need not go on."""
-    quasistatic, inertial = state.stage == QUASISTATIC, state.stage == IMPLICIT
-    limit, rejected = state.limit, ~tried.accepted
-    short = state.h < COLLAPSE * limit
-    asked = quasistatic & tried.accepted & wants_inertia(scene, state.monitor, solver.switch)
-    h_explicit = solver.explicit.safety * limit if solver.explicit is not None else limit
-    if solver.has(IMPLICIT):
-        lost = rejected & (tried.cause != CAUSES.index("error")) & (state.h < LOST * scene.inertial_time)
-        up = quasistatic & (asked | lost | (rejected & short))
-        if solver.has(QUASISTATIC):
-            state, log = _maybe_switch(scene, state, log, up, IMPLICIT, state.h)
-            down = inertial & tried.accepted & has_settled(scene, state.monitor, solver.switch)
-            state, log = _maybe_switch(scene, state, log, down, QUASISTATIC, state.h)
-        if solver.has(EXPLICIT):
-            brief = inertial & rejected & (state.h < BREAK_EVEN * limit)
-            state, log = _maybe_switch(scene, state, log, brief, EXPLICIT, h_explicit)
-    elif solver.has(EXPLICIT):
-        up = asked | (rejected & short)
-        state, log = _maybe_switch(scene, state, log, up, EXPLICIT, h_explicit)
-    lost = rejected & (state.stage != EXPLICIT) & (state.h < SMALLEST_STEP * jnp.maximum(state.t, 1.0))
-    return _given_up(state, lost, tried.cause), log
-
-
 def _count(counters: Counters, stage, accepted, cause, newton=0, linear=0, factors=0) -> Counters:
     accepted = jnp.asarray(accepted, int)
     return Counters(
@@ -283,43 +255,17 @@ def _count(counters: Counters, stage, accepted, cause, newton=0, linear=0, facto
     )
 
 
-def _maybe_switch(scene: Scene, state: State, log: Log, wanted, stage: int, h) -> tuple[State, Log]:
-    """Hand over to `stage` with first step `h` if `wanted`, logging both sides."""
-
-    def switch() -> tuple[State, Log]:
-        before = append(log, _row(scene, state, BEFORE, h, 0, 0.0))
-        switched = _switched(state, stage, h)
-        return switched, append(before, _row(scene, switched, AFTER, h, 0, 0.0))
-
-    return jax.lax.cond(wanted, switch, lambda: (state, log))
-
-
-def _switched(state: State, stage: int, h: Array) -> State:
-    """The state at the start of a stage. Implicit stages share their history; an explicit one ends it."""
-    old = state.stage
-    state = eqx.tree_at(
-        lambda s: (s.stage, s.monitor, s.counters.switches, s.kept.age),
-        state,
-        (
-            jnp.asarray(stage),
-            fresh_monitor(state.monitor),
-            state.counters.switches + 1,
-            jnp.asarray(NEVER, int),
-        ),
-    )
-    if stage == EXPLICIT:
-        return eqx.tree_at(lambda s: s.h_explicit, state, h)
-    # Points made with inertia and without bear order 2 together, no more to begin with.
-    kept = eqx.tree_at(lambda y: y.order, state.history, jnp.minimum(state.history.order, 2))
-    history = _select(old == EXPLICIT, restart_history(state.x, state.v, state.p), kept)
-    return eqx.tree_at(lambda s: (s.h, s.history), state, (h, history))
+def _is_tiny(h: Array, t: Array) -> Array:
+    """Whether a step would be lost to rounding."""
+    return h < SMALLEST_STEP * jnp.maximum(t, 1.0)
 
 
 def _given_up(state: State, lost: Array, cause: Array) -> State:
     """The state with the result of a run that no step leads on."""
-    blocked = cause == CAUSES.index("contact")
-    state = _with_result(state, lost & blocked, RESULTS.blocked)
-    return _with_result(state, lost & ~blocked, RESULTS.collapsed)
+    state = _with_result(state, lost, RESULTS.collapsed)
+    for name, result in (("contact", RESULTS.blocked), ("nonfinite", RESULTS.nonfinite)):
+        state = _with_result(state, lost & (cause == CAUSES.index(name)), result)
+    return state
 
 
 def _with_result(state: State, failed: Array, result: Any) -> State:
@@ -345,15 +291,14 @@ def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrat
 
 def _explicit_step(scene: Scene, carry: _Carry, t_stop, solver: Integrator, stages, fresh):
     assert solver.explicit is not None
-    scene = listed(scene, carry.lists)
-    state = _with_limit(scene, carry.state)
+    scene, state = listed(scene, carry.lists), carry.state
     cap = solver.explicit.safety * state.limit
     started = state.h_explicit > 0
     wanted = jnp.minimum(jnp.where(started, jnp.minimum(state.h_explicit, cap), cap), solver.max_step)
     if scene.contact is not None:
         wanted = wanted * largest_move(scene, state.x, state.x + wanted * state.v)
     if scene.contact is None:
-        return _explicit_attempt(scene, carry._replace(state=state), t_stop, solver, wanted, stages, fresh)
+        return _explicit_attempt(scene, carry, t_stop, solver, wanted, stages, fresh)
     ahead = state.x + LOOK_AHEAD * wanted * state.v
     ahead = state.x + largest_move(scene, state.x, ahead) * (ahead - state.x)
 
@@ -363,7 +308,7 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop, solver: Integrator, stag
     def wait(carry: _Carry):
         return carry, stages, jnp.asarray(False)
 
-    return _when_ready(scene, carry._replace(state=state), ahead, attempt, wait)
+    return _when_ready(scene, carry, ahead, attempt, wait)
 
 
 def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted, stages, fresh):
@@ -388,17 +333,11 @@ def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, w
     moved = eqx.tree_at(lambda s: s.h_explicit, moved, next_h)
     counters = _count(state.counters, EXPLICIT, tried.accepted, tried.cause)
     moved = eqx.tree_at(lambda s: s.counters, moved, counters)
-    lost = ~tried.accepted & (next_h < SMALLEST_STEP * jnp.maximum(state.t, 1.0))
-    moved = _given_up(moved, lost, tried.cause)
+    moved = _given_up(moved, ~tried.accepted & _is_tiny(next_h, state.t), tried.cause)
     sampled = tried.accepted & (counters.steps[EXPLICIT] % EXPLICIT_LOG_EVERY == 0)
     log = jax.lax.cond(
-        sampled, lambda: append(carry.log, _row(scene, moved, STEP, h, 4, tried.error)), lambda: carry.log
+        sampled, lambda: append(carry.log, row(scene, moved, STEP, h, 4, tried.error)), lambda: carry.log
     )
-    if solver.has(IMPLICIT):
-        over = tried.accepted & (moved.monitor.since > SPELL * cap)
-        moved, log = _maybe_switch(scene, moved, log, over, IMPLICIT, BREAK_EVEN * cap)
-    elif solver.has(QUASISTATIC):
-        asked = tried.accepted & has_settled(scene, moved.monitor, solver.switch)
-        moved, log = _maybe_switch(scene, moved, log, asked, QUASISTATIC, solver.restart_steps * cap)
-    done = tried.accepted & lands
-    return _tried(carry, moved, log, carry.factor, carry.held, EXPLICIT_COST, done), stages, tried.accepted
+    handover = after_explicit(scene, moved, tried.accepted, cap, solver)
+    carry = _tried(carry, moved, log, handover, EXPLICIT_COST, tried.accepted, lands)
+    return carry, stages, tried.accepted
