@@ -18,7 +18,7 @@ _find_near = eqx.filter_jit(find_near)
 # pairs.
 ROOM_PER_NODE = (2.0, 1.0, 32.0, 128.0)
 # and those of the smallest sheets.
-SMALLEST_ROOM = 1000
+SMALLEST_ROOM = 2000
 # A list that grows has room for so many times what it must hold: to compile again takes longer than many
 # steps.
 SOON = 1.5

@@ -31,25 +31,24 @@ def strip(
     return jc.Mesh.from_arrays(points, faces)
 
 
-def layer_of(columns: tuple[int, ...] = COLUMNS, rows: int = ROWS) -> np.ndarray:
+def layer_of(mesh: jc.Mesh, columns: tuple[int, ...] = COLUMNS) -> np.ndarray:
     """The layer (n,) of a strip's nodes, 0 the lowest."""
-    return np.repeat(np.arange(len(columns)), np.array(columns) * rows)
+    _, column = np.unique(np.round(mesh.vertices[:, 0], 9), return_inverse=True)
+    return np.repeat(np.arange(len(columns)), columns)[column]
 
 
 def folded(mesh: jc.Mesh, gap: float, columns: tuple[int, ...] = COLUMNS) -> np.ndarray:
-    """Positions (n, 3) of a `strip` with creases of 90 degrees: layers `gap` apart, nothing stretched, their
-    folds in the yz-plane in turn left and right."""
-    layer = layer_of(columns, mesh.n_nodes // sum(columns))
-    x = mesh.vertices.copy()
-    ends = [x[layer == k, 0] for k in range(len(columns))]
-    z, right = 0.0, 0.0
-    for k, part in enumerate(ends):
-        way = -1.0 if k % 2 else 1.0
-        x[layer == k, 2] = z
-        x[layer == k, 0] = right + way * (part - part.min())
-        right, z = right + way * (part.max() - part.min()), z + gap
-    x[:, 2] -= 0.5 * (z - gap)
-    x[:, 0] -= ends[0].max() - ends[0].min()
+    """Positions (n, 3) of a `strip` with creases of 90 degrees: layers `gap` apart, nothing stretched, the
+    first fold at x = 0, the next one left of it, and so on in turn."""
+    x, layer = mesh.vertices.copy(), layer_of(mesh, columns)
+    fold, way = 0.0, 1.0
+    for k in range(len(columns)):
+        s = mesh.vertices[layer == k, 0]
+        length = s.max() - s.min()
+        start = -length if k == 0 else fold
+        x[layer == k, 0] = start + way * (s - s.min())
+        x[layer == k, 2] = (k - 0.5 * (len(columns) - 1)) * gap
+        fold, way = start + way * length, -way
     return x
 
 

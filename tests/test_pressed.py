@@ -1,6 +1,7 @@
 """Layers that are pressed, crushed and thrown upon one another: scenes in which penalty contact usually
 fails."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -8,22 +9,29 @@ from folded import folded, layer_of, strip
 
 import jaxcrumple as jc
 from jaxcrumple.measure import count_intersections, edge_strain
+from jaxcrumple.model.geometry import curvature
 
 SIGMA, THICKNESS, DENSITY, G = 0.5e-3, 0.3e-3, 1000.0, 9.81
 UP = np.array([0.0, 0.0, 1.0])
 FAR = 1.0
-LOWER, UPPER = (layer_of() == k for k in range(2))
 
 
-def scene(mesh, floor=-FAR, ceiling=FAR, gravity=0.0, sinks=0.0, drag=1e3):
+def scene(mesh, floor=-FAR, ceiling=FAR, gravity=0.0, sinks=0.0, drag=1e4):
     """A self-avoiding elastic sheet between two planes in m, of which the upper one sinks, in m/s.
 
     All scenes have the same terms and as many nodes, so that one program serves them.
     """
     material = jc.Material(thickness=THICKNESS, density=DENSITY, yield_curvature=None, drag_rate=drag)
     walls = [jc.Plane(UP, floor), jc.Plane(-UP, jc.Ramp(-ceiling, sinks))]
-    contact = jc.SelfContact(range=SIGMA, level=3)
+    contact = jc.SelfContact(range=SIGMA, level=2)
     return jc.sheet(mesh, material, walls=walls, gravity=(0.0, 0.0, -gravity), contact=contact)
+
+
+def creased(sheet, x, stiffness=1.0):
+    """The same sheet with the folds of positions `x` at rest, of so much of their stiffness."""
+    rest = curvature(sheet.bending.hinges(jnp.asarray(x)).theta)
+    stiff = jnp.where(jnp.abs(rest) > 0.1, stiffness, 1.0) * sheet.bending.stiffness
+    return eqx.tree_at(lambda s: (s.bending.rest_curvature, s.bending.stiffness), sheet, (rest, stiff))
 
 
 def ran(sheet, x, times, v=None, **options):
@@ -35,12 +43,13 @@ def sound(mesh, solution):
     return solution.result == "success" and all(count_intersections(mesh, x) == 0 for x in solution.x)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("columns", "step", "pitch"),
     [
         pytest.param((9, 9), 2.2 * SIGMA, None, id="two layers"),
         pytest.param((5, 4, 4, 5), 2.2 * SIGMA, None, id="four layers"),
-        pytest.param((9, 9), 2.2 * SIGMA, 0.1 * SIGMA, id="needles"),
+        pytest.param((9, 9), 2.2 * SIGMA, 0.3 * SIGMA, id="needles"),
         pytest.param((9, 9), 0.6 * SIGMA, None, id="range above the spacing"),
     ],
 )
@@ -49,11 +58,12 @@ def test_layers_crushed_between_planes(columns, step, pitch):
     mesh = strip(start, columns, step=step, pitch=pitch)
     gaps, soft = len(columns) - 1, 0.9 * THICKNESS
     top = 0.5 * gaps * start + soft
-    sheet = scene(mesh, -top, top, sinks=(gaps * (start - end) + THICKNESS) / duration)
-    solution = ran(sheet, folded(mesh, start, columns), np.linspace(0, duration, 5)[1:])
+    x = folded(mesh, start, columns)
+    sheet = creased(scene(mesh, -top, top, sinks=(gaps * (start - end) + THICKNESS) / duration), x)
+    solution = ran(sheet, x, np.linspace(0, duration, 5)[1:])
     assert sound(mesh, solution)
     # The planes bear the layers' pressure, and the layers lie as they lay, closer.
-    x, layer = solution.x[-1], layer_of(columns)
+    x, layer = solution.x[-1], layer_of(mesh, columns)
     heights = np.array([np.mean(x[layer == k, 2]) for k in range(len(columns))])
     assert np.all((np.diff(heights) > 0.5 * SIGMA) & (np.diff(heights) < start))
     assert solution.history["contact"].iloc[-1] > solution.history["contact"].iloc[0]
@@ -64,19 +74,20 @@ def test_two_layers_under_a_thousand_weights_bear_them_by_pressure():
     mesh = strip(0.9 * SIGMA)
     x = folded(mesh, 0.9 * SIGMA)
     load = 1000.0 * G
-    sheet = scene(mesh, floor=x[:, 2].min() - 0.6 * THICKNESS, gravity=load)
-    solution = ran(sheet, x, np.array([0.01, 0.02, 0.03]))
+    sheet = creased(scene(mesh, floor=x[:, 2].min() - THICKNESS, gravity=load), x, stiffness=0.0)
+    solution = ran(sheet, x, np.array([0.002, 0.005, 0.01]))
     assert sound(mesh, solution)
     end = jnp.asarray(solution.x[-1])
     force = np.asarray(jc.with_contacts(sheet, end).contact.force(end))
-    # The contact bears the upper layer but for what the crease carries.
-    weight = float(np.sum(np.asarray(sheet.mass)[UPPER])) * load
-    assert force[UPPER, 2].sum() == pytest.approx(weight, rel=0.1)
-    inner = UPPER & (mesh.vertices[:, 0] > 3e-3) & (mesh.vertices[:, 0] < 7e-3)
-    gap = np.median(end[inner, 2]) - np.median(end[LOWER & (mesh.vertices[:, 0] < -3e-3), 2])
+    # The folds bear nothing, so the contact bears the upper layer.
+    upper = layer_of(mesh) == 1
+    weight = float(np.sum(np.asarray(sheet.mass)[upper])) * load
+    assert force[upper, 2].sum() == pytest.approx(weight, rel=0.02)
+    gap = np.median(end[upper, 2]) - np.median(end[~upper, 2])
     assert 0.8 * SIGMA < gap < SIGMA
 
 
+@pytest.mark.slow
 def test_a_fold_pressed_to_its_range_opens_again():
     mesh = strip(2.0 * SIGMA)
     x = folded(mesh, 2.0 * SIGMA)
@@ -100,15 +111,16 @@ def test_a_fold_pressed_to_its_range_opens_again():
 def test_a_fast_fold_does_not_pass_through_itself():
     mesh = strip(4.0 * SIGMA)
     x = folded(mesh, 4.0 * SIGMA)
-    v = np.where(UPPER[:, None], -10.0 * UP, 0.0)
-    solution = ran(scene(mesh), x, np.linspace(0, 1e-3, 6)[1:], v)
+    upper = layer_of(mesh) == 1
+    v = np.where(upper[:, None], -10.0 * UP, 0.0)
+    solution = ran(scene(mesh, drag=1e2), x, np.linspace(0, 1e-3, 6)[1:], v)
     assert sound(mesh, solution)
     # The layers met, 1.5 mm apart at 10 m/s, and what was the upper one is still above.
-    inner = mesh.vertices[:, 0] > 6e-3
     assert solution.history["contact"].max() > 0
-    assert np.all(solution.x[-1][inner, 2] > solution.x[-1][mesh.vertices[:, 0] < -6e-3, 2].min())
+    assert np.mean(solution.x[-1][upper, 2]) > np.mean(solution.x[-1][~upper, 2])
 
 
+@pytest.mark.slow
 def test_a_sheet_that_starts_in_contact_rests_or_parts():
     mesh = strip(0.7 * SIGMA)
     x = folded(mesh, 0.7 * SIGMA)
@@ -118,6 +130,7 @@ def test_a_sheet_that_starts_in_contact_rests_or_parts():
     assert np.abs(edge_strain(mesh, solution.x[-1])).max() < 0.05
 
 
+@pytest.mark.slow
 def test_planes_that_leave_no_room_end_in_a_named_result():
     mesh = strip(1.5 * SIGMA)
     x = folded(mesh, 1.5 * SIGMA)

@@ -189,7 +189,7 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
     wanted = jnp.where(aligning, jnp.minimum(wanted, state.limit), wanted)
     if scene.contact is not None:
         ahead = solver.implicit.predict(scene, state, wanted)
-        wanted = wanted * largest_move(scene, state.x, ahead)
+        wanted = wanted * largest_move(scene, state.x, ahead, state.history.count > 1)
     h, lands = _clip_step(state.t, wanted, t_stop)
     if scene.contact is None:
         return _implicit_attempt(scene, carry, t_stop, solver, wanted, h, lands)

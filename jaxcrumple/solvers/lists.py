@@ -16,6 +16,8 @@ from jaxcrumple.system import NEVER, Listing, State
 
 # Share of what a list allows for that a predicted step may use.
 USED = 0.9
+# Share of the largest move that a step without any before it may make.
+UNKNOWN = 0.25
 # A tight list with slacks so many times those that a step needs is made anew.
 LOOSE = 4.0
 # Reach of a new list of candidates: ranges, and steps like the next one; it need not be more than lets a flat
@@ -71,11 +73,12 @@ def renewed(scene: Scene, state: State, lists: Lists | None) -> tuple[State, Lis
     return full, Lists(near, tight, lists.slack, jnp.asarray(False))
 
 
-def largest_move(scene: Scene, x: Array, ahead: Array) -> Array:
-    """Share of the way to `ahead` (n, 3) that one step may go: lists for more would hold too much."""
+def largest_move(scene: Scene, x: Array, ahead: Array, known: Array | bool = True) -> Array:
+    """Share of the way to `ahead` (n, 3) that one step may go, less where the way is not `known` from steps
+    before: lists for more would hold too much."""
     assert scene.contact is not None
-    moved = jnp.max(motion(x, ahead))
-    return jnp.minimum(scene.contact.stride / jnp.maximum(moved, 1e-300), 1.0)
+    most = jnp.where(known, 1.0, UNKNOWN) * scene.contact.stride
+    return jnp.minimum(most / jnp.maximum(jnp.max(motion(x, ahead)), 1e-300), 1.0)
 
 
 def ready_for(
