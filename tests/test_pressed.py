@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from folded import folded, layer_of, strip
+from scipy.optimize import brentq
 
 import jaxcrumple as jc
 from jaxcrumple.measure import count_intersections, edge_strain
@@ -16,14 +17,14 @@ UP = np.array([0.0, 0.0, 1.0])
 FAR = 1.0
 
 
-def scene(mesh, floor=-FAR, ceiling=FAR, gravity=0.0, sinks=0.0, drag=1e4):
+def scene(mesh, floor=-FAR, ceiling=FAR, gravity=0.0, sinks=0.0, drag=1e4, level=2):
     """A self-avoiding elastic sheet between two planes in m, of which the upper one sinks, in m/s.
 
-    All scenes have the same terms and as many nodes, so that one program serves them.
+    Scenes of one level have the same terms and as many nodes, so that one program serves them.
     """
     material = jc.Material(thickness=THICKNESS, density=DENSITY, yield_curvature=None, drag_rate=drag)
     walls = [jc.Plane(UP, floor), jc.Plane(-UP, jc.Ramp(-ceiling, sinks))]
-    contact = jc.SelfContact(range=SIGMA, level=2)
+    contact = jc.SelfContact(range=SIGMA, level=level)
     return jc.sheet(mesh, material, walls=walls, gravity=(0.0, 0.0, -gravity), contact=contact)
 
 
@@ -54,37 +55,52 @@ def sound(mesh, solution):
     ],
 )
 def test_layers_crushed_between_planes(columns, step, pitch):
-    start, end, duration = 0.95 * SIGMA, 0.7 * SIGMA, 0.02
+    start, end, duration = 0.95 * SIGMA, 0.8 * SIGMA, 0.02
     mesh = strip(start, columns, step=step, pitch=pitch)
-    gaps, soft = len(columns) - 1, 0.9 * THICKNESS
+    # The planes' range is the thickness: they touch nothing at first.
+    gaps, soft = len(columns) - 1, 1.02 * THICKNESS
     top = 0.5 * gaps * start + soft
     x = folded(mesh, start, columns)
-    sheet = creased(scene(mesh, -top, top, sinks=(gaps * (start - end) + THICKNESS) / duration), x)
+    sinks = (gaps * (start - end) + 1.2 * THICKNESS) / duration
+    sheet = creased(scene(mesh, -top, top, sinks=sinks, level=None), x)
     solution = ran(sheet, x, np.linspace(0, duration, 5)[1:])
     assert sound(mesh, solution)
     # The planes bear the layers' pressure, and the layers lie as they lay, closer.
     x, layer = solution.x[-1], layer_of(mesh, columns)
     heights = np.array([np.mean(x[layer == k, 2]) for k in range(len(columns))])
-    assert np.all((np.diff(heights) > 0.5 * SIGMA) & (np.diff(heights) < start))
+    assert np.all((np.diff(heights) > 0.6 * SIGMA) & (np.diff(heights) < start))
     assert solution.history["contact"].iloc[-1] > solution.history["contact"].iloc[0]
     assert all(float(wall.gap(jnp.asarray(x), duration).min()) > 0 for wall in sheet.walls)
 
 
+def borne(sheet, x, upper):
+    """Force in N by which contact lifts the upper layer."""
+    x = jnp.asarray(x)
+    return float(jc.with_contacts(sheet, x).contact.force(x)[upper, 2].sum())
+
+
 def test_two_layers_under_a_thousand_weights_bear_them_by_pressure():
-    mesh = strip(0.9 * SIGMA)
-    x = folded(mesh, 0.9 * SIGMA)
-    load = 1000.0 * G
-    sheet = creased(scene(mesh, floor=x[:, 2].min() - THICKNESS, gravity=load), x, stiffness=0.0)
+    load, upper = 1000.0 * G, layer_of(strip(SIGMA)) == 1
+
+    def excess(gap):
+        """Of flat layers so far apart."""
+        mesh = strip(gap)
+        sheet = scene(mesh, gravity=load)
+        return borne(sheet, folded(mesh, gap), upper) - load * float(np.sum(np.asarray(sheet.mass)[upper]))
+
+    gap = brentq(excess, 0.8 * SIGMA, 0.99 * SIGMA, xtol=1e-4 * SIGMA)
+    mesh = strip(gap)
+    x = folded(mesh, gap)
+    sheet = scene(mesh, floor=x[:, 2].min() - THICKNESS, gravity=load)
+    # Folds without stiffness bear nothing but their pull.
+    sheet = creased(sheet, x, stiffness=0.0)
     solution = ran(sheet, x, np.array([0.002, 0.005, 0.01]))
     assert sound(mesh, solution)
-    end = jnp.asarray(solution.x[-1])
-    force = np.asarray(jc.with_contacts(sheet, end).contact.force(end))
-    # The folds bear nothing, so the contact bears the upper layer.
-    upper = layer_of(mesh) == 1
-    weight = float(np.sum(np.asarray(sheet.mass)[upper])) * load
-    assert force[upper, 2].sum() == pytest.approx(weight, rel=0.02)
-    gap = np.median(end[upper, 2]) - np.median(end[~upper, 2])
-    assert 0.8 * SIGMA < gap < SIGMA
+    end = solution.x[-1]
+    weight = load * float(np.sum(np.asarray(sheet.mass)[upper]))
+    assert borne(sheet, end, upper) == pytest.approx(weight, rel=0.05)
+    # It leans towards the folds, beside which neighbours at rest leave it alone.
+    assert 0.8 * gap < np.median(end[upper, 2]) - np.median(end[~upper, 2]) < 1.1 * gap
 
 
 @pytest.mark.slow

@@ -28,8 +28,9 @@ from jaxcrumple.model.stencil import upper_pairs
 Potential = Literal["penalty", "barrier"]
 # Guards the distance of two sites, m2: far below any distance that matters here.
 TINY = 1e-30
-# Largest spacing of sites in ranges, so that layers cannot rest between each other's sites.
-SPACING = 1.0
+# Largest spacing of sites in ranges, on average over a triangle and along its sides, so that layers cannot
+# rest between each other's sites.
+SPACING, LONGEST_SPACING = 1.0, 1.5
 # The same for a barrier: any point of a triangle lies within spacing/sqrt(3) of a site, so sheets that touch
 # have two sites within twice that, which is made the core.
 BARRIER_SPACING = 0.5
@@ -291,7 +292,8 @@ def build_contact(mesh: Mesh, constants: ModelConstants, options: SelfContact) -
     longest = float(mesh.edge_length.max())
     # The largest triangle has a site per area of a lattice; a barrier needs all its sides covered.
     widest = np.sqrt(float(mesh.face_area.max()) * 4.0 / np.sqrt(3.0))
-    parts = longest / (BARRIER_SPACING * sigma) if barrier else widest / (SPACING * sigma)
+    parts = max(widest / (SPACING * sigma), longest / (LONGEST_SPACING * sigma))
+    parts = longest / (BARRIER_SPACING * sigma) if barrier else parts
     needed = max(int(np.ceil(parts)) - 1, 0)
     level = needed if options.level is None else options.level
     if level < 0:
