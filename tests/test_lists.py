@@ -5,6 +5,7 @@ import importlib
 import equinox as eqx
 import jax
 import numpy as np
+import pytest
 from folded import folded, strip
 
 import jaxcrumple as jc
@@ -41,3 +42,16 @@ def test_a_run_cut_anywhere_goes_on_to_the_same_bits(monkeypatch):
         for name in ("t", "x", "v", "h", "history", "kept", "listing"):
             for a, b in zip(*(jax.tree.leaves(getattr(s, name)) for s in (whole, rest)), strict=True):
                 assert np.asarray(a).tobytes() == np.asarray(b).tobytes(), (cut, name)
+
+
+@pytest.mark.slow
+def test_lists_with_room_for_one_grow_and_change_no_bit(monkeypatch):
+    scene, state = pressed_layers()
+    roomy = jc.simulate(scene, state, 1.0, max_attempts=48).state
+    monkeypatch.setattr("jaxcrumple.renewal.ROOM_PER_NODE", (0.0, 0.0, 0.0, 0.0))
+    # They are filled before the run compiles, with room to spare.
+    once = eqx.filter_jit(eqx.debug.assert_max_traces(jc.integrate, max_traces=1))
+    monkeypatch.setattr(importlib.import_module("jaxcrumple.simulate"), "_integrate", once)
+    narrow = jc.simulate(scene, state, 1.0, max_attempts=48).state
+    np.testing.assert_array_equal(narrow.x, roomy.x)
+    np.testing.assert_array_equal(narrow.v, roomy.v)

@@ -1,6 +1,8 @@
 """Layers that are pressed, crushed and thrown upon one another: scenes in which penalty contact usually
 fails."""
 
+import importlib
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -144,6 +146,23 @@ def test_a_sheet_that_starts_in_contact_rests_or_parts():
     assert sound(mesh, solution)
     assert solution.history["contact"].iloc[0] > solution.history["contact"].iloc[-1]
     assert np.abs(edge_strain(mesh, solution.x[-1])).max() < 0.05
+
+
+@pytest.mark.slow
+def test_a_frame_that_intersects_is_no_success(monkeypatch):
+    """Where nothing stops the sheet, the audit tells."""
+    for stage in ("implicit", "explicit"):
+        monkeypatch.setattr(f"jaxcrumple.solvers.{stage}.passes", lambda *_: jnp.asarray(False))
+    module = importlib.import_module("jaxcrumple.simulate")
+    monkeypatch.setattr(module, "_integrate", eqx.filter_jit(jc.integrate))
+    mesh = strip(2.0 * SIGMA)
+    x, upper = folded(mesh, 2.0 * SIGMA), layer_of(mesh) == 1
+    v = np.where(upper[:, None], -10.0 * UP, 0.0)
+    weak = eqx.tree_at(lambda s: s.contact.stiffness, scene(mesh, drag=1e2), jnp.asarray(1e-9))
+    solution = ran(weak, x, np.linspace(0, 1e-3, 6)[1:], v)
+    assert solution.result == "intersected"
+    found = [count_intersections(mesh, frame) for frame in solution.x]
+    assert found[-1] > 0 and not any(found[:-1])
 
 
 @pytest.mark.slow
