@@ -81,6 +81,7 @@ def borne(sheet, x, upper):
     return float(jc.with_contacts(sheet, x).contact.force(x)[upper, 2].sum())
 
 
+@pytest.mark.slow
 def test_two_layers_under_a_thousand_weights_bear_them_by_pressure():
     load, upper = 1000.0 * G, layer_of(strip(SIGMA)) == 1
 
@@ -131,7 +132,7 @@ def test_a_fast_fold_does_not_pass_through_itself():
     x = folded(mesh, 4.0 * SIGMA)
     upper = layer_of(mesh) == 1
     v = np.where(upper[:, None], -10.0 * UP, 0.0)
-    solution = ran(scene(mesh, drag=1e2), x, np.linspace(0, 1e-3, 6)[1:], v)
+    solution = ran(scene(mesh, drag=1e2), x, np.linspace(0, 6e-4, 4)[1:], v)
     assert sound(mesh, solution)
     # The layers met, 1.5 mm apart at 10 m/s, and what was the upper one is still above.
     assert solution.history["contact"].max() > 0
