@@ -292,8 +292,8 @@ def build_contact(mesh: Mesh, constants: ModelConstants, options: SelfContact) -
     longest = float(mesh.edge_length.max())
     # The largest triangle has a site per area of a lattice; a barrier needs all its sides covered.
     widest = np.sqrt(float(mesh.face_area.max()) * 4.0 / np.sqrt(3.0))
-    parts = max(widest / (SPACING * sigma), longest / (LONGEST_SPACING * sigma))
-    parts = longest / (BARRIER_SPACING * sigma) if barrier else parts
+    penalty = max(widest / (SPACING * sigma), longest / (LONGEST_SPACING * sigma))
+    parts = longest / (BARRIER_SPACING * sigma) if barrier else penalty
     needed = max(int(np.ceil(parts)) - 1, 0)
     level = needed if options.level is None else options.level
     if level < 0:

@@ -1,4 +1,4 @@
-"""Fields that hold physical numbers."""
+"""Fields that hold physical numbers, and trees of them."""
 
 from typing import Any
 
@@ -19,3 +19,8 @@ def as_float(value: ArrayLike) -> Array:
 def is_known(*values: Any) -> bool:
     """Whether all numbers in `values` can be looked at: none is traced by a transformation of JAX."""
     return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))
+
+
+def select(keep: Array, new: Any, old: Any) -> Any:
+    """The leaves of the tree `new` where `keep`, else those of `old`."""
+    return jax.tree.map(lambda a, b: jnp.where(keep, a, b), new, old)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxcrumple.model.fields import select
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.log import AFTER, BEFORE, Log, Row, append
 from jaxcrumple.solvers.scheme import Integrator
@@ -100,8 +101,8 @@ def _changed(state: State, handover: Handover) -> State:
     # Points made with inertia and without bear order 2 together, no more to begin with.
     kept = eqx.tree_at(lambda y: y.order, state.history, jnp.minimum(state.history.order, 2))
     fresh = restart_history(state.x, state.v, state.p)
-    ended = _select(explicit, state.history, kept)
-    history = _select(state.stage == EXPLICIT, fresh, ended)
+    ended = select(explicit, state.history, kept)
+    history = select(state.stage == EXPLICIT, fresh, ended)
     return eqx.tree_at(
         lambda s: (s.stage, s.h, s.h_explicit, s.history, s.monitor, s.counters.switches, s.kept.age),
         state,
@@ -115,10 +116,6 @@ def _changed(state: State, handover: Handover) -> State:
             jnp.asarray(NEVER, int),
         ),
     )
-
-
-def _select(keep: Array, new, old):
-    return jax.tree.map(lambda a, b: jnp.where(keep, a, b), new, old)
 
 
 def row(scene: Scene, state: State, kind: int, h, order, error) -> Row:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxcrumple.model.fields import as_float
+from jaxcrumple.model.fields import as_float, select
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers import explicit
 from jaxcrumple.solvers.bdf import push
@@ -87,8 +87,7 @@ def integrate(
             return carry
         now = listed(scene, carry.lists)
         state, log = handed_over(now, carry.state, carry.log, carry.handover)
-        measured = carry.measured & (carry.handover.stage == carry.state.stage)
-        return carry._replace(state=state, log=log, handover=stay(state), measured=measured)
+        return carry._replace(state=state, log=log, handover=stay(state))
 
     end = jax.lax.while_loop(_going, stages, carry)
     if solver.implicit is not None and end.factor is not None:
@@ -164,10 +163,6 @@ def _clip_step(t: Array, h: Array, t_stop: Array) -> tuple[Array, Array]:
     return jnp.where(lands, left, jnp.where(h > 0.5 * left, 0.5 * left, h)), lands
 
 
-def _select(keep: Array, new, old):
-    return jax.tree.map(lambda a, b: jnp.where(keep, a, b), new, old)
-
-
 def _implicit_stages(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
     """Run the quasistatic stage and the implicit one with inertia, until an explicit one is due."""
 
@@ -240,7 +235,7 @@ def _moved(scene: Scene, state: State, tried: Attempt, h: Array, t: Array, solve
     )  # fmt: skip
     if state.p is not None:
         moved = eqx.tree_at(lambda s: s.p, moved, tried.p)
-    return _select(tried.accepted, moved, state)
+    return select(tried.accepted, moved, state)
 
 
 def _count(counters: Counters, stage, accepted, cause, newton=0, linear=0, factors=0) -> Counters:
@@ -317,7 +312,7 @@ def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, w
     cap = solver.explicit.safety * state.limit
     h, lands = _clip_step(state.t, wanted, t_stop)
     tried = explicit.attempt(scene, state, h, cap, stages, fresh, solver.explicit)
-    stages = _select(tried.accepted, tried.stages, stages)
+    stages = select(tried.accepted, tried.stages, stages)
     moved = eqx.tree_at(
         lambda s: (s.t, s.x, s.v, s.monitor),
         state,
@@ -328,7 +323,7 @@ def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, w
     )  # fmt: skip
     if state.p is not None:
         moved = eqx.tree_at(lambda s: s.p, moved, tried.p)
-    moved = _select(tried.accepted, moved, state)
+    moved = select(tried.accepted, moved, state)
     next_h = jnp.where(tried.accepted & (h < wanted), jnp.maximum(tried.next_h, wanted), tried.next_h)
     moved = eqx.tree_at(lambda s: s.h_explicit, moved, next_h)
     counters = _count(state.counters, EXPLICIT, tried.accepted, tried.cause)

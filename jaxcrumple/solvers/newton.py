@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxcrumple.model.fields import select
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
 from jaxcrumple.system import NEVER, ImplicitStep, Linearization, linearize, residual
@@ -79,7 +80,7 @@ def newton(
     usable = _usable(step, old) if linear.exact and kept is not None else jnp.asarray(False)
 
     def renewed(carry: _Carry) -> Factor:
-        here = jax.tree.map(lambda a, b: jnp.where(carry.restore, a, b), (old.step, old.x), (step, carry.x))
+        here = select(carry.restore, (old.step, old.x), (step, carry.x))
         return linear.factor(scene.pattern, linearize(scene, *here)[1], carry.factor)
 
     def tangent(carry: _Carry) -> tuple[Array, Factor]:
@@ -97,7 +98,7 @@ def newton(
         values, factor = tangent(carry)
         own = carry.renew & ~carry.restore
         taken = Linearization(step, carry.x, jnp.zeros_like(old.age))
-        kept = jax.tree.map(lambda a, b: jnp.where(own, a, b), taken, carry.kept)
+        kept = select(own, taken, carry.kept)
         solution = linear.solve(scene.pattern, factor, values, -value.reshape(-1), FORCING)
         update = jnp.max(jnp.abs(solution.x))
         first = jnp.isinf(carry.update)

@@ -41,11 +41,11 @@ class BDFPair(AbstractImplicit):
         history = state.history
         order = jnp.clip(history.count, 1, ORDER)
         step = _equations(scene, state, h, order)
-        solution = self._newton(scene, step, self.predict(scene, state, h), factor, held)
+        solution = self._newton(scene, step, self.predict(scene, state, h), factor)
         x, v = solution.x, step.velocity(solution.x)
         _, p = residual(scene, step, x)
         lower = _equations(scene, state, h, jnp.maximum(order - 1, 1))
-        second = self._newton(scene, lower, x, solution.factor, held)
+        second = self._newton(scene, lower, x, solution.factor)
         first_step = self._first_error(scene, state, step, x, h, second.factor)
         error = self._error(scene, state, h, order, (x, p), lower, second, first_step)
         both = solution._replace(
@@ -60,11 +60,10 @@ class BDFPair(AbstractImplicit):
             solution.factors + second.factors,
         )  # fmt: skip
 
-    def _newton(
-        self, scene: Scene, step: ImplicitStep, guess: Array, factor: Factor, held: Array
-    ) -> NewtonSolution:
+    def _newton(self, scene: Scene, step: ImplicitStep, guess: Array, factor: Factor) -> NewtonSolution:
         tolerance = self.newton_share * LOCAL_SHARE * self.rtol * scene.length_scale
-        return newton(scene, step, guess, self.linear, factor, tolerance, self.max_iterations, None, held)
+        no = jnp.asarray(False)
+        return newton(scene, step, guess, self.linear, factor, tolerance, self.max_iterations, None, no)
 
     def _first_error(self, scene: Scene, state: State, step: ImplicitStep, x, h, factor: Factor) -> Array:
         """Distance from an explicit Euler step, less what decays within the step (the tangent knows)."""

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxcrumple.model.fields import as_float
+from jaxcrumple.model.fields import as_float, select
 from jaxcrumple.model.geometry import curvature
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.bdf import coefficients, damped_order, error_constant, extrapolation, two_step
@@ -118,7 +118,7 @@ class VariableOrder(AbstractImplicit):
         used = jnp.where(history.count > 2, jnp.clip(history.order, 2, stable), 1)
         moves = state.stage == IMPLICIT
         inertial = _Orders(jnp.asarray(2), used, stable)
-        return jax.tree.map(lambda a, b: jnp.where(moves, a, b), inertial, orders)
+        return select(moves, inertial, orders)
 
     def _stable_order(self, scene: Scene, h: Array) -> Array:
         """Largest order of a step with inertia, 2 at least."""
