@@ -9,6 +9,9 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+# Length of the parts in which a long running count is made.
+SIDE = 32
+
 
 def accumulate(
     add: Callable[[Any, Any, Array], Any], start: Any, arguments: Any, count: Array, room: int, chunk: int
@@ -57,10 +60,10 @@ def compacted(
     width: int,
     size: int,
     rows: int,
-    entries: Array | None = None,
+    entries: Callable[[Array], Array] = lambda places: places,
 ) -> tuple[Array, Array]:
     """Places row * width + column where `test` holds, in order, 0 beyond, and how many there are; or the
-    `entries` (size,) of a list at these places.
+    `entries` of a list at these places.
 
     `test` takes row numbers (k,) and returns (k, `width`) of a table whose first `count` rows count. It is
     called for `rows` at a time, as often as there are such. Nothing of this is differentiated.
@@ -70,12 +73,20 @@ def compacted(
         chunk, kept, total = carry
         at = chunk * rows + jnp.arange(rows)
         flat = (test(jnp.minimum(at, count - 1)) & (at < count)[:, None]).reshape(-1)
-        order = total + jnp.cumsum(flat)
-        found = (jnp.arange(rows * width) + chunk * rows * width).astype(jnp.int32)
-        found = found if entries is None else entries[found]
+        order = total + _counted(flat)
+        found = entries((jnp.arange(rows * width) + chunk * rows * width).astype(jnp.int32))
         return chunk + 1, kept.at[jnp.where(flat, order - 1, size)].set(found, mode="drop"), order[-1]
 
     zero = jnp.asarray(0)
     start = (zero, jnp.zeros(size, jnp.int32), zero)
     _, kept, total = jax.lax.while_loop(lambda carry: carry[0] * rows < count, body, start)
     return kept, total
+
+
+def _counted(flags: Array) -> Array:
+    """How many of `flags` (m,) hold up to and including each: two short sums, the first by a product of
+    matrices."""
+    rows = jnp.pad(flags, (0, -flags.size % SIDE)).reshape(-1, SIDE).astype(jnp.float32)
+    within = rows @ jnp.triu(jnp.ones((SIDE, SIDE), jnp.float32))
+    before = jnp.cumsum(within[:, -1]) - within[:, -1]
+    return (within + before[:, None]).reshape(-1)[: flags.size].astype(int)

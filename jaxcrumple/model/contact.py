@@ -8,6 +8,7 @@ equal to $\\sigma$ these are the paper's (26)-(28).
 """
 
 from collections.abc import Callable
+from functools import reduce
 from typing import Any, Literal, NamedTuple, get_args
 
 import equinox as eqx
@@ -22,7 +23,8 @@ from jaxcrumple.model.chunks import accumulate, compacted
 from jaxcrumple.model.crossing import crosses
 from jaxcrumple.model.fans import Fans, build_fans
 from jaxcrumple.model.fields import as_float
-from jaxcrumple.model.near import Candidates, Near, Tight, no_candidates, no_neighbors, whole
+from jaxcrumple.model.geometry import add, dot, gather, scale
+from jaxcrumple.model.near import Candidates, Near, Tight, no_candidates, no_neighbors, split, whole
 from jaxcrumple.model.stencil import upper_pairs
 
 Potential = Literal["penalty", "barrier"]
@@ -196,7 +198,14 @@ class Contact(eqx.Module):
 
     def _sum(self, x: Array, add: Callable[[Any, "Contact", Array, "_Pairs"], Any], nothing: Any) -> Any:
         """`nothing` with what the pairs near enough add; NaN where the list does not hold."""
-        picked, count = self._kept(self.tight, x, _interact, self.range)
+        near, tight = self.near, self.tight
+        few = tight.covers(x)
+
+        def entries(at: Array) -> Array:
+            return jnp.where(few, tight.picked[at], near.picked[at])
+
+        listed = jnp.where(few, tight.count, near.site_count)
+        picked, count = self._kept(entries, listed, x, _interact, self.range)
 
         def add_at(total: Any, arguments: tuple["Contact", Array, Array, Array], at: Array) -> Any:
             contact, x, picked, count = arguments
@@ -209,28 +218,40 @@ class Contact(eqx.Module):
     def tightened(self, x: Array, slack: Array) -> Tight:
         """The pairs of sites that may interact while no node moves further than `slack` (n,) from `x` (n, 3),
         out of those in `near`."""
-        limits = self.range, slack
-        picked, count = self._kept(whole(self.near), x, _may_interact, limits)
+        near = self.near
+        picked, count = self._kept(
+            lambda at: near.picked[at], near.site_count, x, _may_interact, (self.range, slack)
+        )
         return Tight(picked, count, x, slack)
 
-    def _kept(self, listed: Tight, x: Array, test: Callable[["_Pairs", Array, Any], Array], limits: Any):
-        """Those pairs of a list (P,) that pass a `test` of their distance (p,), and how many they are."""
-        contact, listed, x, limits = jax.lax.stop_gradient((self, listed, x, limits))
+    def _kept(
+        self,
+        entries: Callable[[Array], Array],
+        count: Array,
+        x: Array,
+        test: Callable[["_Pairs", Array, Any], Array],
+        limits: Any,
+    ) -> tuple[Array, Array]:
+        """Those of the first `count` `entries` of a list (P,) that pass a `test` of their distance (p,), and
+        how many they are."""
+        contact, x, limits = jax.lax.stop_gradient((self, x, limits))
 
         def close(at: Array) -> Array:
-            pairs = contact._pairs(listed.picked[at], jnp.ones_like(at, bool))
-            return (test(pairs, _separation(pairs, x)[1], limits) & (pairs.strength > 0))[:, None]
+            pairs = contact._pairs(entries(at), jnp.ones_like(at, bool))
+            return test(pairs, _separation(pairs, x)[1], limits)[:, None]
 
-        return compacted(close, listed.count, 1, listed.picked.shape[0], LISTED, listed.picked)
+        return compacted(close, count, 1, self.near.picked.shape[0], LISTED, entries)
 
     def _pairs(self, picked: Array, held: Array) -> "_Pairs":
         """Pairs of sites (p,) as in `Near.picked`, of which those `held` (p,) are valid."""
         near, sites = self.near, self.weights.shape[0]
-        found, other = near.found[picked // sites], picked % sites
-        owner, site = found // sites, found % sites
+        at, other = split(picked, sites)
+        owner, site = split(near.found[at], sites)
         triangles = near.triangles[owner]
-        nodes = self.faces[triangles].reshape(-1, 6)
-        weights = jnp.concatenate([self.weights[site], -self.weights[other]], axis=1)
+        columns = [self.faces[:, k][triangles[:, side]] for side in range(2) for k in range(3)]
+        nodes = jnp.stack(columns, axis=1)
+        shares = [self.weights[:, k][site] for k in range(3)] + [-self.weights[:, k][other] for k in range(3)]
+        weights = jnp.stack(shares, axis=1)
         areas = self.density[triangles]
         strength = self.share[site] * areas[:, 0] * self.share[other] * areas[:, 1]
         return _Pairs(nodes, weights, jnp.where(held, strength, 0.0), owner)
@@ -246,7 +267,7 @@ class Contact(eqx.Module):
 
     def covers(self, x: Array) -> Array:
         """Whether the lists hold for positions `x` (n, 3): no node moved further than they allow for."""
-        return self.candidates.covers(x) & self.near.covers(x) & self.tight.covers(x)
+        return self.candidates.covers(x) & self.near.covers(x)
 
 
 class _Pairs(NamedTuple):
@@ -259,22 +280,24 @@ class _Pairs(NamedTuple):
     owner: Array
 
 
-def _interact(pairs: _Pairs, distance: Array, range: Array) -> Array:
+def _interact(pairs: _Pairs, distance: Array, sigma: Array) -> Array:
     """Whether they do, or would just beyond the range."""
-    return CLOSER * distance < range
+    return CLOSER * distance < sigma
 
 
 def _may_interact(pairs: _Pairs, distance: Array, limits: tuple[Array, Array]) -> Array:
     """Whether they may after motions up to a slack."""
-    range, slack = limits
-    moves = slack[pairs.nodes]
-    return distance <= range + jnp.max(moves[:, :3], axis=1) + jnp.max(moves[:, 3:], axis=1)
+    sigma, slack = limits
+    moves = [slack[pairs.nodes[:, k]] for k in range(6)]
+    return distance <= sigma + reduce(jnp.maximum, moves[:3]) + reduce(jnp.maximum, moves[3:])
 
 
 def _separation(pairs: _Pairs, x: Array) -> tuple[Array, Array]:
     """$r_{12}$ (P, 3) of (26) and its length."""
-    r = jnp.einsum("pk,pki->pi", pairs.weights, x[pairs.nodes])
-    return r, jnp.sqrt(jnp.sum(r * r, axis=1) + TINY)
+    corners = gather(x, pairs.nodes)
+    parts = [scale(pairs.weights[:, k], corner) for k, corner in enumerate(corners)]
+    r = reduce(add, parts)
+    return jnp.stack(r, axis=1), jnp.sqrt(dot(r, r) + TINY)
 
 
 def build_contact(mesh: Mesh, constants: ModelConstants, options: SelfContact) -> Contact:

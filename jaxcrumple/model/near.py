@@ -29,7 +29,7 @@ EXCLUSION = 2.0
 # Pairs of triangles, and of sites, that are looked at together while a list is made.
 PAIRS, SITES = 128, 4096
 # Smallest slack of a node, in ranges, in a `Near` and in a `Tight`.
-SLACK, TIGHT_SLACK = 0.25, 0.15
+SLACK, TIGHT_SLACK = 0.25, 0.05
 # Steps like the next one for which a list is made, and that step itself with some room.
 SEVERAL, ONE = 3.0, 1.2
 
@@ -124,6 +124,13 @@ class Room(NamedTuple):
 SMALLEST = Room()
 
 
+def split(place: Array, width: int) -> tuple[Array, Array]:
+    """Row and column of places row * `width` + column."""
+    return jax.lax.div(place, jnp.asarray(width, place.dtype)), jax.lax.rem(
+        place, jnp.asarray(width, place.dtype)
+    )
+
+
 def motion(start: Array, end: Array) -> Array:
     """Distance (n,) that each node moved, less the mean motion."""
     moved = end - start
@@ -147,12 +154,12 @@ def no_neighbors(n: int, room: Room = SMALLEST) -> Near:
     )  # fmt: skip
 
 
-def slack_for(contact: "Contact", x: Array, ahead: Array, least: float = SLACK) -> Array:
+def slack_for(contact: "Contact", x: Array, ahead: Array) -> Array:
     """Slack (n,) of a list made at `x` for steps that go to `ahead` (n, 3): for a few of them, or for one
-    where that is far; `least` in ranges."""
+    where that is far."""
     moved = motion(x, ahead)
-    few = jnp.minimum(SEVERAL * moved, jnp.maximum(ONE * moved, 2.0 * least * contact.range))
-    return least * contact.range + few
+    few = jnp.minimum(SEVERAL * moved, jnp.maximum(ONE * moved, 2.0 * SLACK * contact.range))
+    return SLACK * contact.range + few
 
 
 def find_near(contact: "Contact", x: Array, slack: Array) -> Near:
@@ -175,7 +182,7 @@ def find_near(contact: "Contact", x: Array, slack: Array) -> Near:
     count = contact.weights.shape[0]
     rows = max(SITES // count, 1)
     found, found_count = compacted(site_close, pair_count, count, room.sites, rows)
-    owner, site = found // count, found % count
+    owner, site = split(found, count)
 
     def sites_close(at: Array) -> Array:
         """Sites of the second triangles near a site of the first, whose neighbours at rest they were not."""

@@ -177,7 +177,7 @@ def _implicit_stages(scene: Scene, carry: _Carry, t_stop: Array, solver: Integra
 
 def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
     assert solver.implicit is not None
-    scene, state = listed(scene, carry.lists), carry.state
+    state = carry.state
     wanted = jnp.minimum(state.h, solver.max_step)
     # The step that aligns the velocity with the forces is as short as an explicit one.
     aligning = aligns(state)
@@ -198,6 +198,7 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
 
 def _implicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted, h, lands) -> _Carry:
     assert solver.implicit is not None and carry.factor is not None
+    scene = listed(scene, carry.lists)
     state, aligning = carry.state, aligns(carry.state)
     tried = solver.implicit.attempt(scene, state, h, carry.factor, carry.held)
     moved = _moved(scene, state, tried, h, jnp.where(lands, t_stop, state.t + h), solver)
@@ -286,7 +287,7 @@ def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrat
 
 def _explicit_step(scene: Scene, carry: _Carry, t_stop, solver: Integrator, stages, fresh):
     assert solver.explicit is not None
-    scene, state = listed(scene, carry.lists), carry.state
+    state = carry.state
     cap = solver.explicit.safety * state.limit
     started = state.h_explicit > 0
     wanted = jnp.minimum(jnp.where(started, jnp.minimum(state.h_explicit, cap), cap), solver.max_step)
@@ -308,7 +309,7 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop, solver: Integrator, stag
 
 def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted, stages, fresh):
     assert solver.explicit is not None
-    state = carry.state
+    scene, state = listed(scene, carry.lists), carry.state
     cap = solver.explicit.safety * state.limit
     h, lands = _clip_step(state.t, wanted, t_stop)
     tried = explicit.attempt(scene, state, h, cap, stages, fresh, solver.explicit)

@@ -10,7 +10,7 @@ from jax import Array
 
 from jaxcrumple.model.contact import Contact
 from jaxcrumple.model.fans import DUE_TURN, MOST_TURN
-from jaxcrumple.model.near import TIGHT_SLACK, Near, Tight, find_near, motion, slack_for, whole
+from jaxcrumple.model.near import ONE, TIGHT_SLACK, Near, Tight, find_near, motion, slack_for, whole
 from jaxcrumple.model.scene import Scene, with_near
 from jaxcrumple.system import NEVER, Listing, State
 
@@ -19,7 +19,7 @@ USED = 0.9
 # Share of the largest move that a step without any before it may make.
 UNKNOWN = 0.25
 # A tight list with slacks so many times those that a step needs is made anew.
-LOOSE = 4.0
+LOOSE = 2.0
 # Reach of a new list of candidates: ranges, and steps like the next one; it need not be more than lets a flat
 # sheet have no candidates, but is FEWEST steps at least.
 REACH, STEPS, FEWEST = 0.35, 32.0, 2.0
@@ -88,7 +88,7 @@ def ready_for(
 
     Unless the factor of the last tangent is `held`, they hold for that too.
     """
-    contact, listing = scene.contact, state.listing
+    contact, listing = listed(scene, lists).contact, state.listing
     if contact is None or listing is None or lists is None:
         return state, None, jnp.asarray(True)
     blunt = contact.sharpest(scene.bending.hinges(state.x).theta) < DUE_TURN
@@ -103,7 +103,7 @@ def ready_for(
     holds, back = lists.near.covers(ahead, USED), _back(state, held)
     slack = jnp.where(holds, lists.slack, jnp.maximum(slack_for(contact, state.x, ahead), back))
     state = eqx.tree_at(lambda s: s.listing, state, wanted)
-    tight = _tight_for(contact, state, lists, ahead, back)
+    tight = _tight_for(contact, state, lists.tight, ahead)
     return state, Lists(lists.near, tight, slack, ~holds), holds & ~stale
 
 
@@ -112,13 +112,14 @@ def _back(state: State, held: Array) -> Array:
     return jnp.where(held | (state.kept.age >= NEVER), 0.0, motion(state.x, state.kept.x) / USED)
 
 
-def _tight_for(contact: Contact, state: State, lists: Lists, ahead: Array, back: Array) -> Tight:
+def _tight_for(contact: Contact, state: State, tight: Tight, ahead: Array) -> Tight:
     """The tight list, made anew where it does not hold for a step to `ahead` (n, 3) or holds too much."""
-    slack = jnp.maximum(slack_for(contact, state.x, ahead, TIGHT_SLACK), back)
-    tight = lists.tight
-    held = tight.covers(ahead, USED) & (jnp.max(back) == 0)
-    loose = jnp.max(tight.slack) > LOOSE * jnp.max(slack)
-    return jax.lax.cond(held & ~loose, lambda: tight, lambda: contact.tightened(state.x, slack))
+    # In the middle of the way, so that both ends are as near as can be.
+    middle = 0.5 * (state.x + ahead)
+    slack = TIGHT_SLACK * contact.range + 0.5 * ONE * motion(state.x, ahead)
+    loose = jnp.mean(tight.slack) > LOOSE * jnp.mean(slack)
+    good = tight.covers(ahead, USED) & ~loose
+    return jax.lax.cond(good, lambda: tight, lambda: contact.tightened(middle, slack))
 
 
 def passes(scene: Scene, state: State, x: Array, t: Array) -> Array:
