@@ -8,7 +8,7 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from jaxcrumple.model.merger import Merger
-from jaxcrumple.model.near import SLACK, Candidates, Room, find_near, no_neighbors
+from jaxcrumple.model.near import SLACK, Candidates, Room, find_near, no_candidates, no_neighbors
 from jaxcrumple.model.scene import Scene, with_near
 from jaxcrumple.model.search import Search
 from jaxcrumple.system import Listing, State, first_listing
@@ -54,7 +54,7 @@ class Renewal:
             # What compiles again for more candidates need not do so soon again for the lists made of them.
             scene = self.filled(scene, listing.x) if self.candidates > before else scene
         no = jnp.asarray(False)
-        served = Listing(listing.x, listing.reach, no, jnp.zeros(3, int))
+        served = Listing(listing.x, listing.reach, no, jnp.zeros_like(listing.needed))
         return scene, eqx.tree_at(lambda s: s.listing, state, served)
 
     def first(self, scene: Scene, state: State) -> tuple[Scene, State]:
@@ -75,12 +75,15 @@ class Renewal:
             near = _find_near(scene.contact, x, slack)
             if not np.any(near.overflow):
                 return with_near(scene, near)
-            scene = self.grown(scene, np.asarray(near.needed))
+            scene = self.grown(scene, np.append(near.needed, 0))
 
     def grown(self, scene: Scene, needed: np.ndarray) -> Scene:
-        """The scene with room for `needed` (3,), each doubled until that fits, or would soon be too small."""
-        sizes = zip(self.room, needed, strict=True)
+        """The scene with room for `needed` (4,), each doubled until that fits, or would soon be too small."""
+        sizes = zip(self.room, needed[:3], strict=True)
         self.room = Room(*(_doubled(room, int(SOON * much)) for room, much in sizes))
+        if needed[3] > self.candidates:
+            self.candidates = _doubled(self.candidates, int(SOON * needed[3]))
+            scene = _with_candidates(scene, self.candidates)
         return _with_room(scene, self.room)
 
     def searched(self, scene: Scene, listing: Listing) -> Scene:
@@ -118,11 +121,20 @@ def _with_room(scene: Scene, room: Room) -> Scene:
     return with_near(scene, no_neighbors(scene.n_nodes, room))
 
 
+def _with_candidates(scene: Scene, size: int) -> Scene:
+    """The scene with an empty list of candidates of another size."""
+    assert scene.contact is not None
+    ways = scene.contact.candidates.folded.shape[0]
+    return eqx.tree_at(lambda s: s.contact.candidates, scene, no_candidates(scene.n_nodes, ways, size))
+
+
 def with_contacts(scene: Scene, x: ArrayLike) -> Scene:
     """The scene with its lists of contact made for positions `x` (n, 3) in m.
 
     Energies, forces and tangents of a self-avoiding scene hold near the positions that its lists were made
-    for, and are NaN elsewhere; `simulate` makes its own. A scene without contact is returned as it is.
+    for, and are NaN elsewhere; `simulate` makes its own. `integrate`, also under `vmap`, makes new ones on
+    its way, unless the direct solver needs their structure from the host, and stops where they grow longer
+    than these: `state.listing.needed`. A scene without contact is returned as it is.
     """
     contact = scene.contact
     if contact is None:

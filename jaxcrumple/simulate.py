@@ -15,7 +15,6 @@ from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.intersections import intersections
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.renewal import Renewal
-from jaxcrumple.solvers.direct import Direct
 from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.log import AFTER, BEFORE, Row
 from jaxcrumple.solvers.scheme import Integrator, integrator
@@ -143,7 +142,7 @@ def simulate(
     with limited_blas():
         renewal = None
         if scene.contact is not None:
-            renewal = Renewal(scene, _is_direct(solver))
+            renewal = Renewal(scene, solver.one_matrix)
             scene, state = renewal.first(scene, state)
         compile_s = _compile(scene, state, solver)
         start = time.perf_counter()
@@ -163,11 +162,6 @@ def simulate(
     if throw and solution.result != "success":
         raise SimulationError(solution)
     return solution
-
-
-def _is_direct(solver: Integrator) -> bool:
-    """Whether the tangent is wanted in one matrix."""
-    return solver.implicit is not None and isinstance(solver.implicit.linear, Direct)
 
 
 def _pierced(scene: Scene, x: ArrayLike) -> np.ndarray:

@@ -87,8 +87,8 @@ CAUSES = ("error", "newton", "unstable", "fold", "nonfinite", "contact")
 class Listing(eqx.Module):
     """From where the candidates for contact are searched for, so that a saved state finds the same ones.
 
-    `x` (n, 3) m and `reach` (n,) m as in `Candidates`; `stale`: a new search is due; `needed` (3,): what
-    of the lists in `Near` were too short for the next step.
+    `x` (n, 3) m and `reach` (n,) m as in `Candidates`; `stale`: a new search is due; `needed` (4,):
+    0, or what the lists must hold where one of them was too short: as `Near.needed`, and candidates.
     """
 
     x: Array
@@ -165,7 +165,7 @@ def first_listing(contact: Contact, x: Array) -> Listing:
     """Where a run that starts at positions `x` (n, 3) searches."""
     no = jnp.asarray(False)
     reach = jnp.maximum(contact.calm, SLACK * contact.range)
-    return Listing(x, jnp.broadcast_to(reach, x.shape[0]), ~no, jnp.zeros(3, int))
+    return Listing(x, jnp.broadcast_to(reach, x.shape[0]), ~no, jnp.zeros(4, int))
 
 
 def check_state(scene: Scene, state: State) -> None:

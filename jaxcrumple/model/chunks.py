@@ -78,7 +78,8 @@ def compacted(
         return chunk + 1, kept.at[jnp.where(flat, order - 1, size)].set(found, mode="drop"), order[-1]
 
     zero = jnp.asarray(0)
-    start = (zero, jnp.zeros(size, jnp.int32), zero)
+    kind = jax.eval_shape(entries, jnp.zeros(1, jnp.int32)).dtype
+    start = (zero, jnp.zeros(size, kind), zero)
     _, kept, total = jax.lax.while_loop(lambda carry: carry[0] * rows < count, body, start)
     return kept, total
 

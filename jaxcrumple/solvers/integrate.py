@@ -67,7 +67,7 @@ def integrate(
 
     **Returns:** the new `State` and the `Log` of this call.
     """
-    state, lists = start_lists(scene, state)
+    state, lists = start_lists(scene, state, solver.one_matrix)
     start_h = jnp.where(state.h > 0, state.h, jnp.minimum(solver.first_step, solver.max_step))
     known = jnp.any(state.stage == jnp.asarray(solver.stages))
     stage = jnp.where(known, state.stage, solver.stages[0])
@@ -101,7 +101,7 @@ def _renewed(scene: Scene, carry: _Carry) -> _Carry:
     The limit is part of the state, so that a run cut anywhere goes on with the same numbers.
     """
     state, lists = renewed(scene, carry.state, carry.lists)
-    now, waiting = listed(scene, lists), waits(state)
+    now, waiting = listed(scene, lists), waits(state, lists)
     due = _limit_is_due(carry) & ~waiting
     limit = jax.lax.cond(due, lambda: explicit.stability_limit(now, state.x, state.t), lambda: state.limit)
     state = eqx.tree_at(lambda s: s.limit, state, limit)
@@ -123,7 +123,7 @@ def _is_sound(scene: Scene, state: State) -> Array:
 
 def _going(carry: _Carry) -> Array:
     room = carry.log.length < LOG_CAPACITY - 4
-    sound = (carry.state.result == RESULTS.success) & ~waits(carry.state)
+    sound = (carry.state.result == RESULTS.success) & ~waits(carry.state, carry.lists)
     return ~carry.done & room & sound & (carry.spent < BUDGET) & (carry.left > 0)
 
 

@@ -10,7 +10,18 @@ from jax import Array
 
 from jaxcrumple.model.contact import Contact
 from jaxcrumple.model.fans import DUE_TURN, MOST_TURN
-from jaxcrumple.model.near import ONE, TIGHT_SLACK, Near, Tight, find_near, motion, slack_for, whole
+from jaxcrumple.model.grid import find_candidates
+from jaxcrumple.model.near import (
+    ONE,
+    TIGHT_SLACK,
+    Candidates,
+    Near,
+    Tight,
+    find_near,
+    motion,
+    slack_for,
+    whole,
+)
 from jaxcrumple.model.scene import Scene, with_near
 from jaxcrumple.system import NEVER, Listing, State
 
@@ -26,51 +37,87 @@ REACH, STEPS, FEWEST = 0.35, 32.0, 2.0
 
 
 class Lists(NamedTuple):
-    """The pairs of sites that the loop holds: `near`, and `tight` out of these; the `slack` (n,) that the
-    next `near` must have, and whether it is `due`, before the next step."""
+    """What the loop holds: pairs of sites `near`, and `tight` out of these; the `slack` (n,) that the next
+    `near` must have, and whether it is `due`, before the next step; and the `candidates`, or None where the
+    host searches for them."""
 
+    candidates: Candidates | None
     near: Near
     tight: Tight
     slack: Array
     due: Array
 
+    @property
+    def waits_for_host(self) -> bool:
+        """Whether the program ends where a search is due."""
+        return self.candidates is None
 
-def start_lists(scene: Scene, state: State) -> tuple[State, Lists | None]:
-    """Lists that hold nowhere, and the state, which says whether a search is due first."""
+
+def start_lists(scene: Scene, state: State, by_host: bool) -> tuple[State, Lists | None]:
+    """Lists that hold nowhere, and the state, which says whether a search is due first: `by_host`, or in the
+    program."""
     contact, listing = scene.contact, state.listing
     if contact is None or listing is None:
         return state, None
     known = contact.candidates.made_for(listing.x, listing.reach)
-    none = jnp.zeros(3, int)
+    none = jnp.zeros_like(listing.needed)
     state = eqx.tree_at(lambda s: s.listing, state, Listing(listing.x, listing.reach, ~known, none))
     slack = jnp.maximum(slack_for(contact, state.x, state.x), _back(state, jnp.asarray(False)))
-    return state, Lists(contact.near, contact.tight, slack, jnp.asarray(True))
+    candidates = None if by_host else contact.candidates
+    return state, Lists(candidates, contact.near, contact.tight, slack, jnp.asarray(True))
 
 
-def waits(state: State) -> Array:
-    """Whether the state waits for a search or for longer lists."""
+def waits(state: State, lists: Lists | None) -> Array:
+    """Whether the state waits for the host: for a search or for longer lists."""
     listing = state.listing
-    return jnp.asarray(False) if listing is None else listing.stale | jnp.any(listing.needed > 0)
+    if listing is None or lists is None:
+        return jnp.asarray(False)
+    short = jnp.any(listing.needed > 0)
+    return listing.stale | short if lists.waits_for_host else short
 
 
 def listed(scene: Scene, lists: Lists | None) -> Scene:
-    """The scene with the pairs of sites in the lists."""
-    return scene if lists is None else with_near(scene, lists.near, lists.tight)
+    """The scene with what is in the lists."""
+    if lists is None:
+        return scene
+    if lists.candidates is not None:
+        scene = eqx.tree_at(lambda s: s.contact.candidates, scene, lists.candidates)
+    return with_near(scene, lists.near, lists.tight)
 
 
 def renewed(scene: Scene, state: State, lists: Lists | None) -> tuple[State, Lists | None]:
     """The lists made anew at the state's positions where that is due; the state says whether they fitted."""
-    contact, listing = scene.contact, state.listing
-    if contact is None or listing is None or lists is None:
+    if state.listing is None or lists is None:
         return state, None
+    state, lists = _searched(scene, state, lists)
+    contact = listed(scene, lists).contact
+    assert contact is not None and state.listing is not None
 
     def anew() -> tuple[Near, Tight]:
         near = find_near(contact, state.x, lists.slack)
         return near, whole(near)
 
     near, tight = jax.lax.cond(lists.due, anew, lambda: (lists.near, lists.tight))
-    full = eqx.tree_at(lambda s: s.listing.needed, state, jnp.where(jnp.any(near.overflow), near.needed, 0))
-    return full, Lists(near, tight, lists.slack, jnp.asarray(False))
+    room = contact.candidates.triangles.shape[0]
+    needed = jnp.append(near.needed, contact.candidates.count)
+    short = jnp.any(near.overflow) | (contact.candidates.count > room)
+    state = eqx.tree_at(lambda s: s.listing.needed, state, jnp.where(short, needed, 0))
+    return state, lists._replace(near=near, tight=tight, due=jnp.asarray(False))
+
+
+def _searched(scene: Scene, state: State, lists: Lists) -> tuple[State, Lists]:
+    """The candidates made anew where they are stale and the program makes them."""
+    contact, listing, old = scene.contact, state.listing, lists.candidates
+    if contact is None or listing is None or old is None:
+        return state, lists
+
+    def search() -> Candidates:
+        theta = scene.bending.hinges(listing.x).theta
+        return find_candidates(contact, theta, listing.x, listing.reach)
+
+    candidates = jax.lax.cond(listing.stale, search, lambda: old)
+    state = eqx.tree_at(lambda s: s.listing.stale, state, jnp.asarray(False))
+    return state, lists._replace(candidates=candidates)
 
 
 def largest_move(scene: Scene, x: Array, ahead: Array, known: Array | bool = True) -> Array:
@@ -101,10 +148,11 @@ def ready_for(
         jnp.where(stale, state.x, listing.x), jnp.where(stale, reach, listing.reach), stale, listing.needed
     )
     holds, back = lists.near.covers(ahead, USED), _back(state, held)
-    slack = jnp.where(holds, lists.slack, jnp.maximum(slack_for(contact, state.x, ahead), back))
+    slack = jnp.where(holds & ~stale, lists.slack, jnp.maximum(slack_for(contact, state.x, ahead), back))
     state = eqx.tree_at(lambda s: s.listing, state, wanted)
     tight = _tight_for(contact, state, lists.tight, ahead)
-    return state, Lists(lists.near, tight, slack, ~holds), holds & ~stale
+    ready = holds & ~stale
+    return state, lists._replace(tight=tight, slack=slack, due=~ready), ready
 
 
 def _back(state: State, held: Array) -> Array:

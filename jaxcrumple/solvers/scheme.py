@@ -8,6 +8,7 @@ from jax import Array
 
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.solvers.choice import choose_linear_solver
+from jaxcrumple.solvers.direct import Direct
 from jaxcrumple.solvers.explicit import Explicit
 from jaxcrumple.solvers.implicit import AbstractImplicit
 from jaxcrumple.solvers.linear import AbstractLinearSolver
@@ -49,6 +50,11 @@ class Integrator(eqx.Module):
     def has(self, stage: int) -> bool:
         """Whether the scheme may use a stage."""
         return stage in self.stages
+
+    @property
+    def one_matrix(self) -> bool:
+        """Whether the tangent is wanted in one matrix, contact included, whose structure the host makes."""
+        return self.implicit is not None and isinstance(self.implicit.linear, Direct)
 
 
 def switch_of(scheme: str, rtol: float, **options: Any) -> Switch:

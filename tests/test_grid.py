@@ -1,0 +1,118 @@
+"""The search for candidates inside a compiled program, and batches of self-avoiding sheets."""
+
+import importlib
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from folded import folded, strip
+from test_lists import pressed_layers
+
+import jaxcrumple as jc
+from jaxcrumple.model.fans import LISTED_TURN
+from jaxcrumple.model.grid import find_candidates
+from jaxcrumple.model.near import distances, no_candidates
+from jaxcrumple.model.search import Search
+
+SIGMA = 0.5e-3
+
+
+def layers():
+    """A folded strip, its contact with room for all pairs, and places and reaches of nodes."""
+    mesh = strip(1.2 * SIGMA, columns=(6, 7), rows=5)
+    rng = np.random.default_rng(3)
+    x = folded(mesh, 1.2 * SIGMA, (6, 7)) + rng.normal(scale=0.05 * SIGMA, size=(mesh.n_nodes, 3))
+    reach = SIGMA * rng.uniform(0.1, 1.5, mesh.n_nodes)
+    scene = jc.sheet(mesh, jc.Material(thickness=0.3e-3), contact=jc.SelfContact(range=SIGMA, level=1))
+    ways = scene.contact.candidates.folded.shape[0]
+    room = no_candidates(mesh.n_nodes, ways, 6000)
+    return eqx.tree_at(lambda s: s.contact.candidates, scene, room), jnp.asarray(x), jnp.asarray(reach)
+
+
+def found(scene, x, reach):
+    """Candidates by the grid."""
+    search = eqx.filter_jit(lambda s, x, r: find_candidates(s.contact, s.bending.hinges(x).theta, x, r))
+    return search(scene, x, reach)
+
+
+def every_pair(scene, x, reach):
+    """Candidates by looking at all pairs of triangles, sorted."""
+    contact = scene.contact
+    faces, rest = np.asarray(contact.faces), np.asarray(contact.rest)
+    one, two = np.triu_indices(len(faces), 1)
+    gap = np.asarray(distances(x, contact.faces[one], contact.faces[two])[0])
+    wide = np.asarray(reach)[faces].max(axis=1)
+    shared = (faces[one][:, :, None] == faces[two][:, None]).any(axis=(1, 2))
+    apart = np.linalg.norm(rest[faces[one]][:, :, None] - rest[faces[two]][:, None], axis=3).max(axis=(1, 2))
+    kept = ~shared & (gap <= SIGMA + wide[one] + wide[two]) & (apart >= 2 * SIGMA)
+    sharp = np.asarray(contact.fans.turning(scene.bending.hinges(x).theta)) > LISTED_TURN
+    pairs = [np.stack([one[kept], two[kept]], axis=1), np.asarray(contact.fans.triangles)[sharp]]
+    return np.unique(np.concatenate(pairs), axis=0)
+
+
+def test_the_grid_finds_the_pairs_that_looking_at_all_pairs_finds():
+    scene, x, reach = layers()
+    expected = every_pair(scene, x, reach)
+    candidates = found(scene, x, reach)
+    assert 500 < len(expected) == int(candidates.count)
+    np.testing.assert_array_equal(np.asarray(candidates.triangles)[: len(expected)], expected)
+    pairs, sharp = Search(scene.contact, scene.bending.nodes).find(np.asarray(x), np.asarray(reach))
+    np.testing.assert_array_equal(candidates.folded, sharp)
+    assert {*map(tuple, expected)} <= {*map(tuple, pairs)}
+
+
+def test_pairs_are_found_wherever_the_sheet_lies_and_however_it_is_turned():
+    scene, x, reach = layers()
+    turn = jnp.linalg.qr(jax.random.normal(jax.random.key(0), (3, 3)))[0]
+    here = found(scene, x, reach)
+    there = found(scene, x @ turn.T + jnp.asarray([-3.0, 0.2, 7.0]), reach)
+    assert int(here.count) == int(there.count)
+    np.testing.assert_array_equal(here.triangles, there.triangles)
+
+
+def test_too_little_room_is_told():
+    scene, x, reach = layers()
+    small = no_candidates(x.shape[0], scene.contact.candidates.folded.shape[0], 100)
+    candidates = found(eqx.tree_at(lambda s: s.contact.candidates, scene, small), x, reach)
+    assert int(candidates.count) > 100
+
+
+def moving_layers():
+    """Layers whose upper one flies away so fast that they need several searches."""
+    scene, state = pressed_layers()
+    upper = state.x[:, 2] > jnp.mean(state.x[:, 2])
+    velocity = jnp.where(upper[:, None], jnp.asarray([0.0, 0.0, 2.0]), 0.0)
+    return scene, jc.initial_state(scene, state.x, velocity)
+
+
+def test_searching_in_the_program_or_on_the_host_changes_no_bit(monkeypatch):
+    scene, state = moving_layers()
+    solver = jc.integrator(1e-2, scheme="explicit")
+    inside = jc.simulate(scene, state, 1.0, solver=solver, max_attempts=900).state
+    assert not np.array_equal(inside.listing.x, state.listing.x)
+    monkeypatch.setattr(jc.Integrator, "one_matrix", True)
+    own = eqx.filter_jit(lambda *arguments: jc.integrate(*arguments))
+    monkeypatch.setattr(importlib.import_module("jaxcrumple.simulate"), "_integrate", own)
+    by_host = jc.simulate(scene, state, 1.0, solver=solver, max_attempts=900).state
+    for name in ("t", "x", "v", "listing"):
+        for a, b in zip(*(jax.tree.leaves(getattr(s, name)) for s in (inside, by_host)), strict=True):
+            np.testing.assert_array_equal(a, b, err_msg=name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["explicit", "hybrid"])
+def test_a_batch_does_what_its_members_do(scheme):
+    scene, state = moving_layers()
+    scene = jc.with_contacts(scene, state.x)
+    solver = jc.integrator(1e-2, scheme=scheme, linear="two-level")
+    states = [jc.initial_state(scene, state.x, share * state.v) for share in (0.5, 1.0)]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
+    t_stop = jnp.asarray(1e-4)
+    batch, _ = eqx.filter_vmap(jc.integrate, in_axes=(None, 0, None, None))(scene, stacked, t_stop, solver)
+    run = eqx.filter_jit(jc.integrate)
+    for lane, single in enumerate(states):
+        alone, _ = run(scene, single, t_stop, solver)
+        assert float(alone.t) == float(t_stop) == float(batch.t[lane])
+        np.testing.assert_allclose(batch.x[lane], alone.x, rtol=0, atol=1e-9 * SIGMA)
