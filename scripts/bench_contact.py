@@ -18,7 +18,7 @@ from benchlib import markdown, options, paired, save, timed_run
 from matplotlib.figure import Figure
 
 from jaxcrumple import initial_state, integrator, radial, simulate
-from jaxcrumple.measure import intersections
+from jaxcrumple.model.intersections import intersections
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.renewal import Renewal, with_contacts
 from jaxcrumple.solvers.implicit import judge

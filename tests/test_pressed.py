@@ -52,7 +52,7 @@ def sound(mesh, solution):
     [
         pytest.param((9, 9), 2.2 * SIGMA, None, id="two layers"),
         pytest.param((5, 4, 4, 5), 2.2 * SIGMA, None, id="four layers"),
-        pytest.param((9, 9), 2.2 * SIGMA, 0.3 * SIGMA, id="needles"),
+        pytest.param((9, 9), 8.0 * SIGMA, 1.1 * SIGMA, id="needles"),
         pytest.param((9, 9), 0.6 * SIGMA, None, id="range above the spacing"),
     ],
 )
