@@ -73,7 +73,7 @@ def compacted(
         chunk, kept, total = carry
         at = chunk * rows + jnp.arange(rows)
         flat = (test(jnp.minimum(at, count - 1)) & (at < count)[:, None]).reshape(-1)
-        order = total + _counted(flat)
+        order = total + counted(flat)
         found = entries((jnp.arange(rows * width) + chunk * rows * width).astype(jnp.int32))
         return chunk + 1, kept.at[jnp.where(flat, order - 1, size)].set(found, mode="drop"), order[-1]
 
@@ -84,7 +84,7 @@ def compacted(
     return kept, total
 
 
-def _counted(flags: Array) -> Array:
+def counted(flags: Array) -> Array:
     """How many of `flags` (m,) hold up to and including each: two short sums, the first by a product of
     matrices."""
     rows = jnp.pad(flags, (0, -flags.size % SIDE)).reshape(-1, SIDE).astype(jnp.float32)

@@ -2,41 +2,56 @@
 
 Triangles are sorted by the cell that their centre lies in. A cell is as wide as the centres of two triangles
 that may meet are apart at most, so that all partners of a triangle lie in the cells around its own: nine rows
-of three cells that follow one another.
+of three cells that follow one another. A pair is met once, from the triangle that comes first.
 """
 
+from functools import reduce
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxcrumple.model.chunks import compacted
+from jaxcrumple.model.chunks import compacted, counted
 from jaxcrumple.model.contact import Contact
+from jaxcrumple.model.distance import TINY
 from jaxcrumple.model.fans import LISTED_TURN
-from jaxcrumple.model.geometry import gather
-from jaxcrumple.model.near import EXCLUSION, PAIRS, Candidates, distances
+from jaxcrumple.model.geometry import Vec, add, cross, dot, gather, sub
+from jaxcrumple.model.near import EXCLUSION, Candidates
 
 # Pairs of triangles in neighbouring cells that are looked at together.
 ROUGH = 4096
+# and those whose balls meet.
+PAIRS = 512
 # Where no pair is: behind all others.
 NONE = jnp.iinfo(jnp.int64).max
 
 
 class _Grid(NamedTuple):
-    """Triangles sorted by cell, `order` (f,); of each triangle's nine rows of cells (9 f,): the `first` place
-    in that order, and the number of triangles in all rows up to this one, `until`."""
+    """Triangles sorted by cell, `order` (f,), and runs (5 f,) of partners: a triangle at place `owner` may
+    meet those at the places after `before` plus the number of a pair; there are `until` pairs in all runs up
+    to this one. Runs without partners come last."""
 
     order: Array
-    first: Array
+    owner: Array
+    before: Array
     until: Array
 
-    def partner(self, place: Array) -> tuple[Array, Array]:
-        """The `place`-th pair (m,) of a triangle with one of the cells around it."""
-        row = jnp.minimum(jnp.searchsorted(self.until, place, side="right"), self.until.shape[0] - 1)
-        before = jnp.where(row > 0, self.until[row - 1], 0)
-        at = jnp.minimum(self.first[row] + place - before, self.order.shape[0] - 1)
-        return row // 9, self.order[at]
+    @property
+    def pairs(self) -> Array:
+        """Number of pairs."""
+        return self.until[-1]
+
+    def places(self, pair: Array) -> tuple[Array, Array]:
+        """Places (m,) in the order of the two triangles of pairs, whose numbers (m,) follow one another."""
+        width = pair.shape[0]
+        first = jnp.searchsorted(self.until, pair[0], side="right")
+        # As many pairs have no more runs than that, since none is empty.
+        ends = self.until[jnp.minimum(first + jnp.arange(width), self.until.shape[0] - 1)] - pair[0]
+        last = jnp.zeros(width, bool).at[jnp.where(ends > 0, ends, width)].set(True, mode="drop")
+        run = jnp.minimum(first + counted(last), self.until.shape[0] - 1)
+        partner = jnp.clip(self.before[run] + pair, 0, self.order.shape[0] - 1)
+        return self.owner[run], partner
 
 
 def find_candidates(contact: Contact, theta: Array, x: Array, reach: Array) -> Candidates:
@@ -69,28 +84,33 @@ def _apart(contact: Contact, x: Array, reach: Array, room: int) -> tuple[Array, 
     extent = jnp.max(reach[faces], axis=1)
     radius = extent + jnp.sqrt(jnp.max(jnp.sum((corners - center[:, None]) ** 2, axis=2), axis=1))
     grid = _sorted(center, contact.range + 2.0 * jnp.max(radius))
+    near, size = gather(center[grid.order], jnp.arange(n_faces)[:, None])[0], radius[grid.order]
 
-    def key(place: Array) -> Array:
-        one, two = grid.partner(place)
-        return one * n_faces + two
+    def key(pair: Array) -> Array:
+        one, two = (grid.order[place] for place in grid.places(pair))
+        return jnp.minimum(one, two) * n_faces + jnp.maximum(one, two)
 
-    def meets(place: Array) -> Array:
-        one, two = grid.partner(place)
-        gap = jnp.sqrt(jnp.sum((center[one] - center[two]) ** 2, axis=1))
-        rough = (one < two) & (gap <= contact.range + radius[one] + radius[two])
+    def meets(pair: Array) -> Array:
+        one, two = grid.places(pair)
+        offset = sub(_at(near, one), _at(near, two))
+        rough = dot(offset, offset) <= (contact.range + size[one] + size[two]) ** 2
         few, many = compacted(lambda at: rough[at][:, None], jnp.asarray(ROUGH), 1, ROUGH, ROUGH)
 
         def body(carry: tuple[Array, Array]) -> tuple[Array, Array]:
             start, found = carry
             rows = start + jnp.arange(PAIRS)
             at = few[jnp.minimum(rows, ROUGH - 1)]
-            close = _may_meet(contact, x, extent, one[at], two[at])
+            close = _may_meet(contact, x, extent, grid.order[one[at]], grid.order[two[at]])
             return start + PAIRS, found.at[jnp.where(rows < many, at, ROUGH)].set(close, mode="drop")
 
         start = jnp.asarray(0), jnp.zeros(ROUGH, bool)
         return jax.lax.while_loop(lambda carry: carry[0] < many, body, start)[1][:, None]
 
-    return compacted(meets, grid.until[-1], 1, room, ROUGH, key)
+    return compacted(meets, grid.pairs, 1, room, ROUGH, key)
+
+
+def _at(vectors: Vec, place: Array) -> Vec:
+    return (vectors[0][place], vectors[1][place], vectors[2][place])
 
 
 def _sorted(center: Array, width: Array) -> _Grid:
@@ -100,22 +120,51 @@ def _sorted(center: Array, width: Array) -> _Grid:
     columns, rows = jnp.max(cell[:, 0]) + 2, jnp.max(cell[:, 1]) + 2
     number = cell[:, 0] + columns * (cell[:, 1] + rows * cell[:, 2])
     order = jnp.argsort(number)
-    steps = jnp.arange(-1, 2)
-    row = number[:, None] + (columns * (steps[:, None] + rows * steps)).reshape(-1)
-    ends = [
-        jnp.searchsorted(number[order], (row + step).reshape(-1), side=side)
-        for step, side in ((-1, "left"), (1, "right"))
-    ]
-    return _Grid(order, ends[0], jnp.cumsum(ends[1] - ends[0]))
+    number = number[order]
+    # Of the nine rows of cells around one, those that come later; and what comes later in its own.
+    later = jnp.stack(
+        [jnp.zeros_like(rows), columns, columns * (rows - 1), columns * rows, columns * (rows + 1)]
+    )
+    row = number[:, None] + later
+    first = jnp.searchsorted(number, row - 1, side="left")
+    first = first.at[:, 0].set(jnp.arange(number.shape[0]) + 1)
+    length = (jnp.searchsorted(number, row + 1, side="right") - first).reshape(-1)
+    runs, _ = compacted(
+        lambda at: (length[at] > 0)[:, None], jnp.asarray(length.shape[0]), 1, length.shape[0], ROUGH
+    )
+    runs = jnp.where(jnp.arange(length.shape[0]) < jnp.sum(length > 0), runs, jnp.argmin(length))
+    until = jnp.cumsum(length[runs])
+    return _Grid(order, runs // later.shape[0], first.reshape(-1)[runs] - (until - length[runs]), until)
 
 
 def _may_meet(contact: Contact, x: Array, extent: Array, one: Array, two: Array) -> Array:
-    """Whether triangles (m,) come within the range when each moves by its `extent` (f,), share no node, and
-    have sites far enough from one another at rest."""
+    """Whether triangles (m,) may come within the range when each moves by its `extent` (f,), share no node,
+    and have sites far enough from one another at rest."""
     first, second = contact.faces[one], contact.faces[two]
     shared = jnp.any(first[:, :, None] == second[:, None], axis=(1, 2))
     rest = gather(contact.rest, first), gather(contact.rest, second)
-    squared = [sum((a - b) ** 2 for a, b in zip(p, q, strict=True)) for p in rest[0] for q in rest[1]]
-    interact = jnp.max(jnp.stack(squared), axis=0) >= (EXCLUSION * contact.range) ** 2
-    gap, _ = distances(x, first, second)
+    squared = [dot(sub(p, q), sub(p, q)) for p in rest[0] for q in rest[1]]
+    interact = reduce(jnp.maximum, squared) >= (EXCLUSION * contact.range) ** 2
+    gap = _gap(gather(x, first), gather(x, second))
     return ~shared & interact & (gap <= contact.range + extent[one] + extent[two])
+
+
+def _gap(first: tuple[Vec, ...], second: tuple[Vec, ...]) -> Array:
+    """Lower bound (m,) of the distance of triangles: that of their bounding boxes, or the largest separation
+    along the line of their centres or a normal."""
+    zero = jnp.zeros_like(first[0][0])
+    boxes = [jnp.maximum(_apart_by([c[i] for c in first], [c[i] for c in second]), zero) for i in range(3)]
+    gap = jnp.sqrt(sum((side * side for side in boxes), zero))
+    centers = [reduce(add, side) for side in (first, second)]
+    normals = [cross(sub(side[1], side[0]), sub(side[2], side[0])) for side in (first, second)]
+    for axis in (sub(centers[1], centers[0]), *normals):
+        length = jnp.sqrt(dot(axis, axis)) + TINY
+        heights = ([dot(c, axis) for c in side] for side in (first, second))
+        gap = jnp.maximum(gap, _apart_by(*heights) / length)
+    return gap
+
+
+def _apart_by(one: list[Array], two: list[Array]) -> Array:
+    """How far two intervals are apart, each that of three numbers (m,); negative where they overlap."""
+    highest, lowest = ([reduce(f, side) for side in (one, two)] for f in (jnp.maximum, jnp.minimum))
+    return jnp.maximum(lowest[1] - highest[0], lowest[0] - highest[1])

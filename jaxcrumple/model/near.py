@@ -170,7 +170,7 @@ def find_near(contact: "Contact", x: Array, slack: Array) -> Near:
     reach = contact.range + jnp.max(slack[first], axis=1) + jnp.max(slack[second], axis=1)
 
     def close(at: Array) -> Array:
-        return (distances(x, first[at], second[at])[0] <= reach[at])[:, None]
+        return (_distances(x, first[at], second[at])[0] <= reach[at])[:, None]
 
     pairs, pair_count = compacted(close, candidates.count, 1, room.triangles, PAIRS)
     first, second, reach = first[pairs], second[pairs], reach[pairs]
@@ -196,7 +196,7 @@ def find_near(contact: "Contact", x: Array, slack: Array) -> Near:
     return Near(
         pairs=pairs,
         triangles=candidates.triangles[pairs],
-        distance=_fill(lambda at: distances(x, first[at], second[at])[1], pair_count, room.triangles),
+        distance=_fill(lambda at: _distances(x, first[at], second[at])[1], pair_count, room.triangles),
         pair_count=pair_count,
         found=found,
         picked=picked,
@@ -207,7 +207,7 @@ def find_near(contact: "Contact", x: Array, slack: Array) -> Near:
     )
 
 
-def distances(x: Array, first: Array, second: Array) -> tuple[Array, Array]:
+def _distances(x: Array, first: Array, second: Array) -> tuple[Array, Array]:
     """Distance (m,) of triangles with nodes (m, 3), and of those of their parts that share no node."""
     parts = primitive_distances(gather(x, first), gather(x, second))
     shared = shared_parts(first, second)
