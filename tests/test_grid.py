@@ -66,13 +66,12 @@ def test_the_grid_finds_what_the_tree_finds_and_misses_no_pair():
     assert len(expected) > 500 and expected <= {*map(tuple, pairs)}
 
 
-def test_pairs_are_found_wherever_the_sheet_lies_and_however_it_is_turned():
+def test_no_pair_is_missed_wherever_the_sheet_lies_and_however_it_is_turned():
     scene, x, reach = layers()
     turn = jnp.linalg.qr(jax.random.normal(jax.random.key(0), (3, 3)))[0]
-    here = found(scene, x, reach)
-    there = found(scene, x @ turn.T + jnp.asarray([-3.0, 0.2, 7.0]), reach)
-    assert int(here.count) == int(there.count)
-    np.testing.assert_array_equal(here.triangles, there.triangles)
+    candidates = found(scene, x @ turn.T + jnp.asarray([-3.0, 0.2, 7.0]), reach)
+    pairs = np.asarray(candidates.triangles)[: int(candidates.count)]
+    assert {*map(tuple, every_pair(scene, x, reach))} <= {*map(tuple, pairs)}
 
 
 def test_too_little_room_is_told():

@@ -126,7 +126,7 @@ def _sorted(center: Array, width: Array) -> _Grid:
         [jnp.zeros_like(rows), columns, columns * (rows - 1), columns * rows, columns * (rows + 1)]
     )
     row = number[:, None] + later
-    first = jnp.searchsorted(number, row - 1, side="left")
+    first = jnp.searchsorted(number, row - 1, side="left").astype(int)
     first = first.at[:, 0].set(jnp.arange(number.shape[0]) + 1)
     length = (jnp.searchsorted(number, row + 1, side="right") - first).reshape(-1)
     runs, _ = compacted(
