@@ -110,18 +110,16 @@ def figure_of(runs: dict[tuple[str, str], jc.Run], title: str) -> Figure:
 
 def main() -> None:
     """Run, and write table and figure."""
-    parser = options(__doc__, (3000,))
+    parser = options(__doc__, (3000,), resumable=True)
     parser.add_argument("--t-end", type=float, default=3.7, help="time in s at which they are compared")
     parser.add_argument("--workers", type=int, default=2, help="runs at a time")
-    parser.add_argument("--resume", action="store_true", help="go on with the runs of an earlier call")
     opts = parser.parse_args()
-    rows = []
     for nodes in opts.nodes:
         keys = list(itertools.product(CONTACT, YIELD))
         with ThreadPoolExecutor(opts.workers) as pool:
             folders = list(pool.map(lambda key, n=nodes: run(n, *key, opts.t_end, opts.resume), keys))
         runs = {key: jc.load(folder) for key, folder in zip(keys, folders, strict=True)}
-        rows += [row(r, *key) for key, r in runs.items()]
+        rows = [row(r, *key) for key, r in runs.items()]
         title = f"R = {7.1 - opts.t_end:.2g} cm, n = {nodes}, rtol = 1e-2"
         save(opts, f"four_crumples_{nodes}", table(rows), figure_of(runs, title), {}, rows)
 

@@ -28,9 +28,13 @@ def layers():
     x = folded(mesh, 1.2 * SIGMA, (6, 7)) + rng.normal(scale=0.05 * SIGMA, size=(mesh.n_nodes, 3))
     reach = SIGMA * rng.uniform(0.1, 1.5, mesh.n_nodes)
     scene = jc.sheet(mesh, jc.Material(thickness=0.3e-3), contact=jc.SelfContact(range=SIGMA, level=1))
-    ways = scene.contact.candidates.folded.shape[0]
-    room = no_candidates(mesh.n_nodes, ways, 6000)
-    return eqx.tree_at(lambda s: s.contact.candidates, scene, room), jnp.asarray(x), jnp.asarray(reach)
+    return with_room(scene, 6000), jnp.asarray(x), jnp.asarray(reach)
+
+
+def with_room(scene, room):
+    """The scene with an empty list of candidates."""
+    none = no_candidates(scene.n_nodes, scene.contact.candidates.folded.shape[0], room)
+    return eqx.tree_at(lambda s: s.contact.candidates, scene, none)
 
 
 def found(scene, x, reach):
@@ -76,8 +80,7 @@ def test_no_pair_is_missed_wherever_the_sheet_lies_and_however_it_is_turned():
 
 def test_too_little_room_is_told():
     scene, x, reach = layers()
-    small = no_candidates(x.shape[0], scene.contact.candidates.folded.shape[0], 100)
-    candidates = found(eqx.tree_at(lambda s: s.contact.candidates, scene, small), x, reach)
+    candidates = found(with_room(scene, 100), x, reach)
     assert int(candidates.count) > 100
 
 

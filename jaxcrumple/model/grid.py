@@ -30,7 +30,7 @@ NONE = jnp.iinfo(jnp.int64).max
 class _Grid(NamedTuple):
     """Triangles sorted by cell, `order` (f,), and runs (5 f,) of partners: a triangle at place `owner` may
     meet those at the places after `before` plus the number of a pair; there are `until` pairs in all runs up
-    to this one. Runs without partners come last."""
+    to this one. Those beyond the last run add none."""
 
     order: Array
     owner: Array
@@ -68,10 +68,9 @@ def find_candidates(contact: Contact, theta: Array, x: Array, reach: Array) -> C
     keys = jnp.sort(jnp.concatenate([held, keys]))
     # A pair has two ways around the node that it shares, and may have more than one such node.
     fresh = (keys < NONE) & (keys != jnp.roll(keys, 1))
-    kept, fitted = compacted(lambda at: fresh[at][:, None], jnp.asarray(keys.shape[0]), 1, room, ROUGH)
-    valid = jnp.arange(room) < fitted
-    keys = jnp.where(valid, keys[kept], 0)
-    triangles = jnp.stack([keys // n_faces, keys % n_faces], axis=1).astype(jnp.int32)
+    size = jnp.asarray(keys.shape[0])
+    kept, fitted = compacted(lambda at: fresh[at][:, None], size, 1, room, ROUGH, lambda at: keys[at])
+    triangles = jnp.stack([kept // n_faces, kept % n_faces], axis=1).astype(jnp.int32)
     total = jnp.maximum(count, fitted)
     return Candidates(triangles, total, x, reach, folded)
 
@@ -84,7 +83,7 @@ def _apart(contact: Contact, x: Array, reach: Array, room: int) -> tuple[Array, 
     extent = jnp.max(reach[faces], axis=1)
     radius = extent + jnp.sqrt(jnp.max(jnp.sum((corners - center[:, None]) ** 2, axis=2), axis=1))
     grid = _sorted(center, contact.range + 2.0 * jnp.max(radius))
-    near, size = gather(center[grid.order], jnp.arange(n_faces)[:, None])[0], radius[grid.order]
+    near, size = center[grid.order], radius[grid.order]
 
     def key(pair: Array) -> Array:
         one, two = (grid.order[place] for place in grid.places(pair))
@@ -92,7 +91,7 @@ def _apart(contact: Contact, x: Array, reach: Array, room: int) -> tuple[Array, 
 
     def meets(pair: Array) -> Array:
         one, two = grid.places(pair)
-        offset = sub(_at(near, one), _at(near, two))
+        offset = sub(*gather(near, jnp.stack([one, two], axis=1)))
         rough = dot(offset, offset) <= (contact.range + size[one] + size[two]) ** 2
         few, many = compacted(lambda at: rough[at][:, None], jnp.asarray(ROUGH), 1, ROUGH, ROUGH)
 
@@ -107,10 +106,6 @@ def _apart(contact: Contact, x: Array, reach: Array, room: int) -> tuple[Array, 
         return jax.lax.while_loop(lambda carry: carry[0] < many, body, start)[1][:, None]
 
     return compacted(meets, grid.pairs, 1, room, ROUGH, key)
-
-
-def _at(vectors: Vec, place: Array) -> Vec:
-    return (vectors[0][place], vectors[1][place], vectors[2][place])
 
 
 def _sorted(center: Array, width: Array) -> _Grid:
@@ -129,12 +124,11 @@ def _sorted(center: Array, width: Array) -> _Grid:
     first = jnp.searchsorted(number, row - 1, side="left").astype(int)
     first = first.at[:, 0].set(jnp.arange(number.shape[0]) + 1)
     length = (jnp.searchsorted(number, row + 1, side="right") - first).reshape(-1)
-    runs, _ = compacted(
-        lambda at: (length[at] > 0)[:, None], jnp.asarray(length.shape[0]), 1, length.shape[0], ROUGH
-    )
-    runs = jnp.where(jnp.arange(length.shape[0]) < jnp.sum(length > 0), runs, jnp.argmin(length))
-    until = jnp.cumsum(length[runs])
-    return _Grid(order, runs // later.shape[0], first.reshape(-1)[runs] - (until - length[runs]), until)
+    room = length.shape[0]
+    runs, many = compacted(lambda at: (length[at] > 0)[:, None], jnp.asarray(room), 1, room, ROUGH)
+    length = jnp.where(jnp.arange(room) < many, length[runs], 0)
+    until = jnp.cumsum(length)
+    return _Grid(order, runs // later.shape[0], first.reshape(-1)[runs] - (until - length), until)
 
 
 def _may_meet(contact: Contact, x: Array, extent: Array, one: Array, two: Array) -> Array:

@@ -125,10 +125,9 @@ SMALLEST = Room()
 
 
 def split(place: Array, width: int) -> tuple[Array, Array]:
-    """Row and column of places row * `width` + column."""
-    return jax.lax.div(place, jnp.asarray(width, place.dtype)), jax.lax.rem(
-        place, jnp.asarray(width, place.dtype)
-    )
+    """Row and column of places row * `width` + column, none negative."""
+    columns = jnp.asarray(width, place.dtype)
+    return jax.lax.div(place, columns), jax.lax.rem(place, columns)
 
 
 def motion(start: Array, end: Array) -> Array:

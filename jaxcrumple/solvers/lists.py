@@ -47,11 +47,6 @@ class Lists(NamedTuple):
     slack: Array
     due: Array
 
-    @property
-    def waits_for_host(self) -> bool:
-        """Whether the program ends where a search is due."""
-        return self.candidates is None
-
 
 def start_lists(scene: Scene, state: State, by_host: bool) -> tuple[State, Lists | None]:
     """Lists that hold nowhere, and the state, which says whether a search is due first: `by_host`, or in the
@@ -73,7 +68,7 @@ def waits(state: State, lists: Lists | None) -> Array:
     if listing is None or lists is None:
         return jnp.asarray(False)
     short = jnp.any(listing.needed > 0)
-    return listing.stale | short if lists.waits_for_host else short
+    return listing.stale | short if lists.candidates is None else short
 
 
 def listed(scene: Scene, lists: Lists | None) -> Scene:
