@@ -7,13 +7,16 @@ import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
+from jaxcrumple.model.fans import PLACED_TURN
 from jaxcrumple.model.merger import Merger
-from jaxcrumple.model.near import SLACK, Candidates, Room, find_near, no_candidates, no_neighbors
+from jaxcrumple.model.near import Around, Candidates, Room, find_near, no_candidates, no_neighbors
 from jaxcrumple.model.scene import Scene, with_near
 from jaxcrumple.model.search import Search
-from jaxcrumple.system import Listing, State, first_listing
+from jaxcrumple.system import State, first_listing
 
 _find_near = eqx.filter_jit(find_near)
+# Reach in ranges of the first list of sites.
+FIRST = 0.25
 # First room of the lists: for each node, pairs of triangles that may meet, those near, sites there, and
 # pairs.
 ROOM_PER_NODE = (2.0, 1.0, 32.0, 128.0)
@@ -37,31 +40,29 @@ class Renewal:
         self.merger = Merger(scene.pattern, np.asarray(contact.faces)) if merged else None
         rooms = [int(share * max(scene.n_nodes, SMALLEST_ROOM)) for share in ROOM_PER_NODE]
         self.candidates = max(rooms[0], contact.candidates.triangles.shape[0])
+        self.places = self.candidates
         old = contact.near.room
         self.room = Room(*(max(new, before) for new, before in zip(rooms[1:], old, strict=True)))
 
     def __call__(self, scene: Scene, state: State) -> tuple[Scene, State]:
         """Scene and state for the next call of `integrate`, where the last one stopped for a list."""
         listing = state.listing
-        assert listing is not None and scene.contact is not None
+        assert listing is not None
         needed = np.asarray(listing.needed)
-        if not (bool(listing.stale) or needed.any()):
-            return scene, state
         if needed.any():
             scene = self.grown(scene, needed)
         if bool(listing.stale):
-            before, scene = self.candidates, self.searched(scene, listing)
-            # What compiles again for more candidates need not do so soon again for the lists made of them.
-            scene = self.filled(scene, listing.x) if self.candidates > before else scene
-        no = jnp.asarray(False)
-        served = Listing(listing.x, listing.reach, no, jnp.zeros_like(listing.needed))
-        return scene, eqx.tree_at(lambda s: s.listing, state, served)
+            scene = self.placed(scene, listing.matrix)
+        served = (jnp.asarray(False), jnp.zeros_like(listing.needed))
+        return scene, eqx.tree_at(lambda s: (s.listing.stale, s.listing.needed), state, served)
 
     def first(self, scene: Scene, state: State) -> tuple[Scene, State]:
         """Scene and state for the first call of `integrate`: a saved state finds the lists it had."""
-        stale = eqx.tree_at(lambda s: s.listing.stale, state, jnp.asarray(True))
-        scene, state = self(_with_room(scene, self.room), stale)
-        return self.filled(scene, state.x), state
+        listing = state.listing
+        assert listing is not None
+        scene = self.placed(scene, listing.matrix)
+        scene = self.searched(_with_room(scene, self.room), listing.candidates)
+        return self(self.filled(scene, state.x), state)
 
     def filled(self, scene: Scene, x: Array) -> Scene:
         """The scene with lists for positions `x` (n, 3), grown until they fit: an own program that compiles
@@ -69,10 +70,10 @@ class Renewal:
         assert scene.contact is not None
         if int(scene.contact.candidates.count) == 0:
             return scene
-        slack = jnp.full(scene.n_nodes, SLACK * scene.contact.range)
+        around = Around(x, jnp.full(scene.n_nodes, FIRST * scene.contact.range))
         while True:
             assert scene.contact is not None
-            near = _find_near(scene.contact, x, slack)
+            near = _find_near(scene.contact, around)
             if not np.any(near.overflow):
                 return with_near(scene, near)
             scene = self.grown(scene, np.append(near.needed, 0))
@@ -86,24 +87,23 @@ class Renewal:
             scene = _with_candidates(scene, self.candidates)
         return _with_room(scene, self.room)
 
-    def searched(self, scene: Scene, listing: Listing) -> Scene:
-        """The scene with the candidates of a listing."""
-        assert scene.contact is not None and scene.pattern.contact is not None
-        pairs, folded = self.search.find(np.asarray(listing.x), np.asarray(listing.reach))
+    def searched(self, scene: Scene, around: Around) -> Scene:
+        """The scene with candidates for motions."""
+        pairs, folded = self.search.find(np.asarray(around.x), np.asarray(around.reach))
         self.candidates = _doubled(self.candidates, len(pairs))
         triangles = np.zeros((self.candidates, 2), np.int32)
         triangles[: len(pairs)] = pairs
-        found = Candidates(
-            jnp.asarray(triangles),
-            jnp.asarray(len(pairs), int),
-            listing.x,
-            listing.reach,
-            jnp.asarray(folded),
-        )
-        scene = eqx.tree_at(lambda s: s.contact.candidates, scene, found)
+        count = jnp.asarray(len(pairs), int)
+        found = Candidates(jnp.asarray(triangles), count, around, jnp.asarray(folded))
+        return eqx.tree_at(lambda s: s.contact.candidates, scene, found)
+
+    def placed(self, scene: Scene, around: Around) -> Scene:
+        """The scene with places in the matrix for all pairs that may meet by motions, if it needs them."""
         if self.merger is None:
             return scene
-        merged = self.merger.merge(pairs, self.candidates)
+        pairs, _ = self.search.find(np.asarray(around.x), np.asarray(around.reach), PLACED_TURN)
+        self.places = _doubled(self.places, len(pairs))
+        merged = self.merger.merge(pairs, self.places)
         return eqx.tree_at(
             lambda s: s.pattern.contact.merged, scene, merged, is_leaf=lambda leaf: leaf is None
         )
@@ -139,7 +139,7 @@ def with_contacts(scene: Scene, x: ArrayLike) -> Scene:
     contact = scene.contact
     if contact is None:
         return scene
-    listing = first_listing(contact, jnp.asarray(x, float))
+    around = first_listing(contact, jnp.asarray(x, float)).candidates
     renewal = Renewal(scene, merged=True)
-    scene = _with_room(renewal.searched(scene, listing), renewal.room)
-    return renewal.filled(scene, listing.x)
+    scene = renewal.searched(_with_room(scene, renewal.room), around)
+    return renewal.filled(renewal.placed(scene, around), around.x)

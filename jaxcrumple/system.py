@@ -11,7 +11,7 @@ from jax import Array
 from jaxcrumple.model.contact import Contact
 from jaxcrumple.model.geometry import curvature
 from jaxcrumple.model.loads import Prescribed
-from jaxcrumple.model.near import SLACK
+from jaxcrumple.model.near import Around
 from jaxcrumple.model.plasticity import implicit_update
 from jaxcrumple.model.scene import Scene
 
@@ -85,14 +85,16 @@ CAUSES = ("error", "newton", "unstable", "fold", "nonfinite", "contact")
 
 
 class Listing(eqx.Module):
-    """From where the candidates for contact are searched for, so that a saved state finds the same ones.
+    """What the lists of contact are made for, so that a saved state finds the same ones.
 
-    `x` (n, 3) m and `reach` (n,) m as in `Candidates`; `stale`: a new search is due; `needed` (4,):
-    0, or what the lists must hold where one of them was too short: as `Near.needed`, and candidates.
+    `candidates`, `near`: as in `Contact`; `matrix`: pairs of triangles that have a place in a direct solver's
+    matrix, `stale` where one lacks it; `needed` (4,): 0, or what the lists must hold where one was too short:
+    as `Near.needed`, and candidates.
     """
 
-    x: Array
-    reach: Array
+    candidates: Around
+    near: Around
+    matrix: Around
     stale: Array
     needed: Array
 
@@ -163,9 +165,8 @@ def initial_state(scene: Scene, x: Array, v: Array | None = None, *, window: int
 
 def first_listing(contact: Contact, x: Array) -> Listing:
     """Where a run that starts at positions `x` (n, 3) searches."""
-    no = jnp.asarray(False)
-    reach = jnp.maximum(contact.calm, SLACK * contact.range)
-    return Listing(x, jnp.broadcast_to(reach, x.shape[0]), ~no, jnp.zeros(4, int))
+    around = Around(x, jnp.broadcast_to(contact.calm, x.shape[0]))
+    return Listing(around, around, around, jnp.asarray(False), jnp.zeros(4, int))
 
 
 def check_state(scene: Scene, state: State) -> None:

@@ -15,7 +15,7 @@ from jaxcrumple.model.distance import primitive_distances
 from jaxcrumple.model.fans import LISTED_TURN
 from jaxcrumple.model.geometry import gather
 from jaxcrumple.model.grid import find_candidates
-from jaxcrumple.model.near import no_candidates
+from jaxcrumple.model.near import Around, no_candidates
 from jaxcrumple.model.search import Search
 
 SIGMA = 0.5e-3
@@ -39,8 +39,8 @@ def with_room(scene, room):
 
 def found(scene, x, reach):
     """Candidates by the grid."""
-    search = eqx.filter_jit(lambda s, x, r: find_candidates(s.contact, s.bending.hinges(x).theta, x, r))
-    return search(scene, x, reach)
+    search = eqx.filter_jit(lambda s, a: find_candidates(s.contact, s.bending.hinges(a.x).theta, a))
+    return search(scene, Around(x, reach))
 
 
 def every_pair(scene, x, reach):
@@ -92,17 +92,19 @@ def moving_layers():
     return scene, jc.initial_state(scene, state.x, velocity)
 
 
-def test_searching_in_the_program_or_on_the_host_changes_no_bit(monkeypatch):
+def test_when_lists_are_made_changes_no_bit(monkeypatch):
     scene, state = moving_layers()
     solver = jc.integrator(1e-2, scheme="explicit")
-    inside = jc.simulate(scene, state, 1.0, solver=solver, max_attempts=900).state
-    assert not np.array_equal(inside.listing.x, state.listing.x)
-    monkeypatch.setattr(jc.Integrator, "one_matrix", True)
+    usual = jc.simulate(scene, state, 1.0, solver=solver, max_attempts=900).state
+    assert not np.array_equal(usual.listing.candidates.x, state.listing.candidates.x)
+    for name, value in (("SEVERAL", 1.0), ("STEPS", 4.0)):
+        monkeypatch.setattr(f"jaxcrumple.solvers.lists.{name}", value)
     own = eqx.filter_jit(lambda *arguments: jc.integrate(*arguments))
     monkeypatch.setattr(importlib.import_module("jaxcrumple.simulate"), "_integrate", own)
-    by_host = jc.simulate(scene, state, 1.0, solver=solver, max_attempts=900).state
-    for name in ("t", "x", "v", "listing"):
-        for a, b in zip(*(jax.tree.leaves(getattr(s, name)) for s in (inside, by_host)), strict=True):
+    often = jc.simulate(scene, state, 1.0, solver=solver, max_attempts=900).state
+    assert not np.array_equal(usual.listing.near.x, often.listing.near.x)
+    for name in ("t", "x", "v"):
+        for a, b in zip(*(jax.tree.leaves(getattr(s, name)) for s in (usual, often)), strict=True):
             np.testing.assert_array_equal(a, b, err_msg=name)
 
 

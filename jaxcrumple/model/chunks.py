@@ -71,23 +71,26 @@ def compacted(
 
     def body(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         chunk, kept, total = carry
-        at = chunk * rows + jnp.arange(rows)
-        flat = (test(jnp.minimum(at, count - 1)) & (at < count)[:, None]).reshape(-1)
+        at = chunk * rows + jnp.arange(rows, dtype=jnp.int32)
+        inside = jnp.minimum(at, count - 1)
+        flat = (test(inside) & (at < count)[:, None]).reshape(-1)
         order = total + counted(flat)
-        found = entries((jnp.arange(rows * width) + chunk * rows * width).astype(jnp.int32))
+        # Where a row has one place, what `test` and `entries` have in common is computed once.
+        places = inside[:, None] * width + jnp.arange(width, dtype=jnp.int32)
+        found = entries(places.reshape(-1))
         return chunk + 1, kept.at[jnp.where(flat, order - 1, size)].set(found, mode="drop"), order[-1]
 
-    zero = jnp.asarray(0)
-    kind = jax.eval_shape(entries, jnp.zeros(1, jnp.int32)).dtype
-    start = (zero, jnp.zeros(size, kind), zero)
+    # Wider integers take four times as long.
+    zero, count = jnp.zeros((), jnp.int32), jnp.asarray(count, jnp.int32)
+    start = (zero, jnp.zeros(size, jax.eval_shape(entries, zero[None]).dtype), zero)
     _, kept, total = jax.lax.while_loop(lambda carry: carry[0] * rows < count, body, start)
-    return kept, total
+    return kept, total.astype(int)
 
 
 def counted(flags: Array) -> Array:
-    """How many of `flags` (m,) hold up to and including each: two short sums, the first by a product of
+    """How many (m,) of `flags` (m,) hold up to and including each: two short sums, the first by a product of
     matrices."""
     rows = jnp.pad(flags, (0, -flags.size % SIDE)).reshape(-1, SIDE).astype(jnp.float32)
     within = rows @ jnp.triu(jnp.ones((SIDE, SIDE), jnp.float32))
     before = jnp.cumsum(within[:, -1]) - within[:, -1]
-    return (within + before[:, None]).reshape(-1)[: flags.size].astype(int)
+    return (within + before[:, None]).reshape(-1)[: flags.size].astype(jnp.int32)

@@ -24,7 +24,7 @@ from jaxcrumple.model.crossing import crosses
 from jaxcrumple.model.fans import Fans, build_fans
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.geometry import add, dot, gather, scale
-from jaxcrumple.model.near import Candidates, Near, Tight, no_candidates, no_neighbors, split, whole
+from jaxcrumple.model.near import Candidates, Near, no_candidates, no_neighbors, split
 from jaxcrumple.model.stencil import upper_pairs
 
 Potential = Literal["penalty", "barrier"]
@@ -46,6 +46,8 @@ CLOSER = 0.98
 STRIDE = 1.0
 # Share of the lowest triangle's height that separates triangles without a common node in a flat sheet.
 CALM = 0.8
+# The same in ranges, where the range is too wide for that.
+LEAST = 0.25
 # Pairs of sites that are looked at together: those in the list, and those that interact.
 LISTED, ACTIVE = 1024, 256
 
@@ -107,7 +109,7 @@ class Contact(eqx.Module):
     - `stride` m: how far a node may move in a step, less the sheet's mean motion; `calm` m: reach of lists in
       which neighbours in a flat sheet do not appear.
     - `fans`: triangles that share a node, and the hinges between them.
-    - `candidates`, `near`, `tight`: who may meet; see `jaxcrumple.model.near`.
+    - `candidates`, `near`: who may meet; see `jaxcrumple.model.near`.
     """
 
     faces: Array
@@ -123,7 +125,6 @@ class Contact(eqx.Module):
     fans: Fans
     candidates: Candidates
     near: Near
-    tight: Tight
 
     def energy(self, x: Array) -> Array:
         """Energy in J at positions `x` (n, 3); NaN where the list of pairs does not hold for them."""
@@ -198,14 +199,7 @@ class Contact(eqx.Module):
 
     def _sum(self, x: Array, add: Callable[[Any, "Contact", Array, "_Pairs"], Any], nothing: Any) -> Any:
         """`nothing` with what the pairs near enough add; NaN where the list does not hold."""
-        near, tight = self.near, self.tight
-        few = tight.covers(x)
-
-        def entries(at: Array) -> Array:
-            return jnp.where(few, tight.picked[at], near.picked[at])
-
-        listed = jnp.where(few, tight.count, near.site_count)
-        picked, count = self._kept(entries, listed, x, _interact, self.range)
+        picked, count = self._interacting(x)
 
         def add_at(total: Any, arguments: tuple["Contact", Array, Array, Array], at: Array) -> Any:
             contact, x, picked, count = arguments
@@ -215,32 +209,17 @@ class Contact(eqx.Module):
         holds = self.covers(x)
         return jax.tree.map(lambda total: jnp.where(holds, total, jnp.nan), value)
 
-    def tightened(self, x: Array, slack: Array) -> Tight:
-        """The pairs of sites that may interact while no node moves further than `slack` (n,) from `x` (n, 3),
-        out of those in `near`."""
-        near = self.near
-        picked, count = self._kept(
-            lambda at: near.picked[at], near.site_count, x, _may_interact, (self.range, slack)
-        )
-        return Tight(picked, count, x, slack)
-
-    def _kept(
-        self,
-        entries: Callable[[Array], Array],
-        count: Array,
-        x: Array,
-        test: Callable[["_Pairs", Array, Any], Array],
-        limits: Any,
-    ) -> tuple[Array, Array]:
-        """Those of the first `count` `entries` of a list (P,) that pass a `test` of their distance (p,), and
-        how many they are."""
-        contact, x, limits = jax.lax.stop_gradient((self, x, limits))
+    def _interacting(self, x: Array) -> tuple[Array, Array]:
+        """Those pairs of sites in `near` (P,) that interact, or would just beyond the range, and how many
+        they are."""
+        contact, x = jax.lax.stop_gradient((self, x))
 
         def close(at: Array) -> Array:
-            pairs = contact._pairs(entries(at), jnp.ones_like(at, bool))
-            return test(pairs, _separation(pairs, x)[1], limits)[:, None]
+            pairs = contact._pairs(contact.near.picked[at], jnp.ones_like(at, bool))
+            return (CLOSER * _separation(pairs, x)[1] < contact.range)[:, None]
 
-        return compacted(close, count, 1, self.near.picked.shape[0], LISTED, entries)
+        near = contact.near
+        return compacted(close, near.site_count, 1, near.picked.shape[0], LISTED, lambda at: near.picked[at])
 
     def _pairs(self, picked: Array, held: Array) -> "_Pairs":
         """Pairs of sites (p,) as in `Near.picked`, of which those `held` (p,) are valid."""
@@ -267,7 +246,7 @@ class Contact(eqx.Module):
 
     def covers(self, x: Array) -> Array:
         """Whether the lists hold for positions `x` (n, 3): no node moved further than they allow for."""
-        return self.candidates.covers(x) & self.near.covers(x)
+        return self.candidates.around.covers(x) & self.near.covers(x)
 
 
 class _Pairs(NamedTuple):
@@ -278,18 +257,6 @@ class _Pairs(NamedTuple):
     weights: Array
     strength: Array
     owner: Array
-
-
-def _interact(pairs: _Pairs, distance: Array, sigma: Array) -> Array:
-    """Whether they do, or would just beyond the range."""
-    return CLOSER * distance < sigma
-
-
-def _may_interact(pairs: _Pairs, distance: Array, limits: tuple[Array, Array]) -> Array:
-    """Whether they may after motions up to a slack."""
-    sigma, slack = limits
-    moves = [slack[pairs.nodes[:, k]] for k in range(6)]
-    return distance <= sigma + reduce(jnp.maximum, moves[:3]) + reduce(jnp.maximum, moves[3:])
 
 
 def _separation(pairs: _Pairs, x: Array) -> tuple[Array, Array]:
@@ -327,7 +294,7 @@ def build_contact(mesh: Mesh, constants: ModelConstants, options: SelfContact) -
             f"contact level = {level} leaves sites too far apart for a barrier of range {sigma:.3g} m; "
             f"choose level {needed} or leave it out."
         )
-    sites, fans, near = build_sites(level), build_fans(mesh), no_neighbors(mesh.n_nodes)
+    sites, fans = build_sites(level), build_fans(mesh)
     return Contact(
         faces=jnp.asarray(mesh.faces, jnp.int32),
         rest=jnp.asarray(mesh.vertices),
@@ -338,9 +305,8 @@ def build_contact(mesh: Mesh, constants: ModelConstants, options: SelfContact) -
         range=as_float(sigma),
         core=as_float(core) if barrier else None,
         stride=as_float(STRIDE * sigma),
-        calm=as_float(0.5 * (CALM * mesh.hinge_height.min() - sigma)),
+        calm=as_float(max(0.5 * (CALM * mesh.hinge_height.min() - sigma), LEAST * sigma)),
         fans=fans,
         candidates=no_candidates(mesh.n_nodes, len(fans.triangles)),
-        near=near,
-        tight=whole(near),
+        near=no_neighbors(mesh.n_nodes),
     )

@@ -2,7 +2,7 @@
 
 It comes and goes, so it is kept beside the sheet's own pattern, as a list of pairs of triangles. The blocks
 of a triangle's own nodes have a place in the sheet's pattern already. A direct solver needs all in one
-matrix, whose structure `Merger` makes on the host for a list of candidates.
+matrix, whose structure `Merger` makes on the host for a list of pairs.
 """
 
 import equinox as eqx
@@ -12,6 +12,7 @@ import scipy.sparse as sparse
 from jax import Array
 
 from jaxcrumple.model.chunks import accumulate
+from jaxcrumple.model.near import pair_key
 
 # Numbers that a pair of triangles adds to the tangent's values: a block for each node of one and of the
 # other.
@@ -24,12 +25,14 @@ class Merged(eqx.Module):
     """Sheet and contact in one matrix of compressed sparse rows.
 
     `indptr` (3n+1,), `indices` (room,), of which those beyond the last row are never read; `place` (nnz,) of
-    the sheet's own entries; `cross` (c, 81): entries of the blocks of each candidate, room where dropped.
+    the sheet's own entries; `keys` (c,) of pairs of triangles, sorted, and `cross` (c, 81): entries of their
+    blocks, room where dropped.
     """
 
     indptr: Array
     indices: Array
     place: Array
+    keys: Array
     cross: Array
 
 
@@ -37,15 +40,13 @@ class Cross(eqx.Module):
     """Blocks between touching triangles.
 
     - `face_blocks` (f, 6): the pattern's blocks of a triangle's own nodes, as `upper_pairs(3)`.
-    - `triangles` (t, 2), `nodes` (t, 6); `candidate` (t,): place among the candidates; the first `count`
-      valid.
+    - `triangles` (t, 2), `nodes` (t, 6), of which the first `count` are valid.
     - `merged`: the whole matrix, or None where no direct solver needs it.
     """
 
     face_blocks: Array
     triangles: Array
     nodes: Array
-    candidate: Array
     count: Array
     merged: Merged | None
 
@@ -99,11 +100,26 @@ class Cross(eqx.Module):
             twice = nodes[:, :3, None] == nodes[:, None, 3:]
             # A node that both triangles have is met from both sides.
             factor = jnp.where(twice, 2.0, 1.0)[..., None, None]
-            entries = merged.cross[cross.candidate[at]]
+            entries = merged.cross[cross._rows(merged, at)]
             return total.at[entries].add((cross._held(blocks, at) * factor).reshape(-1, SIZE), mode="drop")
 
         arguments = (self, merged, _blocks(appended))
         return accumulate(add, values, arguments, self.count, self.triangles.shape[0], CHUNK)
+
+    def placed(self) -> Array:
+        """Whether all pairs have a place in the merged matrix, where there is one."""
+        if self.merged is None:
+            return jnp.asarray(True)
+        at = jnp.arange(self.triangles.shape[0])
+        found = self.merged.keys[self._rows(self.merged, at)] == self._keys(at)
+        return jnp.all(found | (at >= self.count))
+
+    def _rows(self, merged: Merged, at: Array) -> Array:
+        """Where pairs at places (c,) are in a merged matrix, if they are."""
+        return jnp.minimum(jnp.searchsorted(merged.keys, self._keys(at)), merged.keys.shape[0] - 1)
+
+    def _keys(self, at: Array) -> Array:
+        return pair_key(self.triangles[at], self.face_blocks.shape[0])
 
     def _held(self, values: Array, at: Array) -> Array:
         """`values` (t, ...) at places (c,), zeros beyond the last pair."""

@@ -28,7 +28,7 @@ def crosses(contact: "Contact", start: Array, end: Array) -> Array:
     """
     near = contact.near
     first, second = contact.faces[near.triangles[:, 0]], contact.faces[near.triangles[:, 1]]
-    moved = jnp.maximum(motion(near.x, start), motion(near.x, end))
+    moved = jnp.maximum(motion(near.around.x, start), motion(near.around.x, end))
     closest = near.distance - jnp.max(moved[first], axis=1) - jnp.max(moved[second], axis=1)
     doubtful = (closest <= 0) & (jnp.arange(first.shape[0]) < near.pair_count)
     parts = (gather(start, first), gather(start, second))

@@ -12,8 +12,9 @@ from jaxcrumple.mesh import Mesh
 # Two sites on triangles that share a node come nearer than half of their distance at rest only if the sheet
 # between them turns by 120 degrees: a polygon's chord is at least its length times the cosine of half its
 # turning (Schur), and the rest is room for stretching. Folds are listed from LISTED_TURN on; those that are
-# not must not pass MOST_TURN, and a new list is due before.
-LISTED_TURN, DUE_TURN, MOST_TURN = np.deg2rad([80.0, 95.0, 115.0])
+# not must not pass MOST_TURN, and a new list is due before. In the matrix they have a place from PLACED_TURN
+# on.
+PLACED_TURN, LISTED_TURN, DUE_TURN, MOST_TURN = np.deg2rad([60.0, 80.0, 95.0, 115.0])
 
 
 class Fans(eqx.Module):

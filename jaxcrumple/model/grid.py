@@ -5,6 +5,7 @@ that may meet are apart at most, so that all partners of a triangle lie in the c
 of three cells that follow one another. A pair is met once, from the triangle that comes first.
 """
 
+from collections.abc import Callable
 from functools import reduce
 from typing import NamedTuple
 
@@ -17,14 +18,11 @@ from jaxcrumple.model.contact import Contact
 from jaxcrumple.model.distance import TINY
 from jaxcrumple.model.fans import LISTED_TURN
 from jaxcrumple.model.geometry import Vec, add, cross, dot, gather, sub
-from jaxcrumple.model.near import EXCLUSION, Candidates
+from jaxcrumple.model.near import EXCLUSION, NONE, Around, Candidates, boxes, boxes_meet, pair_key
 
-# Pairs of triangles in neighbouring cells that are looked at together.
-ROUGH = 4096
-# and those whose balls meet.
-PAIRS = 512
-# Where no pair is: behind all others.
-NONE = jnp.iinfo(jnp.int64).max
+# Pairs of triangles in neighbouring cells that are looked at together; of these, those whose boxes meet; of
+# these, those that share no node.
+ROUGH, FIRST, SECOND = 8192, 512, 128
 
 
 class _Grid(NamedTuple):
@@ -45,7 +43,8 @@ class _Grid(NamedTuple):
     def places(self, pair: Array) -> tuple[Array, Array]:
         """Places (m,) in the order of the two triangles of pairs, whose numbers (m,) follow one another."""
         width = pair.shape[0]
-        first = jnp.searchsorted(self.until, pair[0], side="right")
+        # By comparisons, so that the compiler sees that two calls do the same.
+        first = jnp.searchsorted(self.until, pair[0], side="right", method="compare_all")
         # As many pairs have no more runs than that, since none is empty.
         ends = self.until[jnp.minimum(first + jnp.arange(width), self.until.shape[0] - 1)] - pair[0]
         last = jnp.zeros(width, bool).at[jnp.where(ends > 0, ends, width)].set(True, mode="drop")
@@ -54,58 +53,72 @@ class _Grid(NamedTuple):
         return self.owner[run], partner
 
 
-def find_candidates(contact: Contact, theta: Array, x: Array, reach: Array) -> Candidates:
-    """Pairs of triangles that may come within the range while no node moves further than `reach` (n,) from
-    `x` (n, 3), where hinges have angles `theta` (h,); in a list of the same size as the one that `contact`
-    has. Its `count` may be more than that."""
+def find_candidates(contact: Contact, theta: Array, around: Around) -> Candidates:
+    """Pairs of triangles that may come within the range by motions `around` positions where hinges have
+    angles `theta` (h,), in a list of the same size as the one that `contact` has. Its `count` may be more
+    than that."""
     room = contact.candidates.triangles.shape[0]
     folded = contact.fans.turning(theta) > LISTED_TURN
-    apart, count = _apart(contact, x, reach, room)
+    apart, count = _apart(contact, around, room)
     n_faces = contact.faces.shape[0]
-    ways = contact.fans.triangles.astype(jnp.int64)
-    keys = jnp.where(folded, ways[:, 0] * n_faces + ways[:, 1], NONE)
-    held = jnp.where(jnp.arange(room) < count, apart, NONE)
-    keys = jnp.sort(jnp.concatenate([held, keys]))
+    ways = contact.fans.triangles
+    sharp, ways_count = compacted(lambda at: folded[at][:, None], jnp.asarray(len(ways)), 1, room, ROUGH)
+    parts = ((apart, count), (pair_key(ways[sharp], n_faces), ways_count))
+    keys = jnp.sort(jnp.concatenate([jnp.where(jnp.arange(room) < m, key, NONE) for key, m in parts]))
     # A pair has two ways around the node that it shares, and may have more than one such node.
     fresh = (keys < NONE) & (keys != jnp.roll(keys, 1))
     size = jnp.asarray(keys.shape[0])
     kept, fitted = compacted(lambda at: fresh[at][:, None], size, 1, room, ROUGH, lambda at: keys[at])
     triangles = jnp.stack([kept // n_faces, kept % n_faces], axis=1).astype(jnp.int32)
-    total = jnp.maximum(count, fitted)
-    return Candidates(triangles, total, x, reach, folded)
+    total = jnp.maximum(jnp.maximum(count, ways_count), fitted)
+    return Candidates(triangles, total, around, folded)
 
 
-def _apart(contact: Contact, x: Array, reach: Array, room: int) -> tuple[Array, Array]:
+def _apart(contact: Contact, around: Around, room: int) -> tuple[Array, Array]:
     """Keys (room,) of pairs that share no node, and how many they are."""
-    faces, n_faces = contact.faces, contact.faces.shape[0]
+    faces, n_faces, x = contact.faces, contact.faces.shape[0], around.x
     corners = x[faces]
     center = jnp.mean(corners, axis=1)
-    extent = jnp.max(reach[faces], axis=1)
+    extent = jnp.max(around.reach[faces], axis=1)
     radius = extent + jnp.sqrt(jnp.max(jnp.sum((corners - center[:, None]) ** 2, axis=2), axis=1))
     grid = _sorted(center, contact.range + 2.0 * jnp.max(radius))
-    near, size = center[grid.order], radius[grid.order]
-
-    def key(pair: Array) -> Array:
-        one, two = (grid.order[place] for place in grid.places(pair))
-        return jnp.minimum(one, two) * n_faces + jnp.maximum(one, two)
+    # Sorted as the grid is, which spares a look at its order for every pair.
+    low, high = boxes(corners[grid.order], extent[grid.order])
+    faces, extent = faces[grid.order], extent[grid.order]
 
     def meets(pair: Array) -> Array:
         one, two = grid.places(pair)
-        offset = sub(*gather(near, jnp.stack([one, two], axis=1)))
-        rough = dot(offset, offset) <= (contact.range + size[one] + size[two]) ** 2
-        few, many = compacted(lambda at: rough[at][:, None], jnp.asarray(ROUGH), 1, ROUGH, ROUGH)
+        passed = boxes_meet(low, high, one, two, contact.range)
+        passed = _those(passed, lambda at: _no_neighbors(faces, one[at], two[at]), FIRST)
 
-        def body(carry: tuple[Array, Array]) -> tuple[Array, Array]:
-            start, found = carry
-            rows = start + jnp.arange(PAIRS)
-            at = few[jnp.minimum(rows, ROUGH - 1)]
-            close = _may_meet(contact, x, extent, grid.order[one[at]], grid.order[two[at]])
-            return start + PAIRS, found.at[jnp.where(rows < many, at, ROUGH)].set(close, mode="drop")
+        def touch(at: Array) -> Array:
+            sides = [(faces[k[at]], extent[k[at]]) for k in (one, two)]
+            return _may_touch(contact, x, *sides)
 
-        start = jnp.asarray(0), jnp.zeros(ROUGH, bool)
-        return jax.lax.while_loop(lambda carry: carry[0] < many, body, start)[1][:, None]
+        return _those(passed, touch, SECOND)[:, None]
 
-    return compacted(meets, grid.pairs, 1, room, ROUGH, key)
+    def both(pair: Array) -> Array:
+        one, two = grid.places(pair)
+        return one.astype(jnp.int64) * n_faces + two
+
+    found, count = compacted(meets, grid.pairs, 1, room, ROUGH, both)
+    pairs = jnp.sort(grid.order[jnp.stack([found // n_faces, found % n_faces], axis=1)], axis=1)
+    return pair_key(pairs, n_faces), count
+
+
+def _those(asked: Array, test: Callable[[Array], Array], block: int) -> Array:
+    """Which (m,) of those that are `asked` about pass a `test` of places (block,)."""
+    size = asked.shape[0]
+    few, many = compacted(lambda at: asked[at][:, None], jnp.asarray(size), 1, size, size)
+
+    def body(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        start, passed = carry
+        rows = start + jnp.arange(block)
+        at = few[jnp.minimum(rows, size - 1)]
+        return start + block, passed.at[jnp.where(rows < many, at, size)].set(test(at), mode="drop")
+
+    start = jnp.asarray(0), jnp.zeros(size, bool)
+    return jax.lax.while_loop(lambda carry: carry[0] < many, body, start)[1]
 
 
 def _sorted(center: Array, width: Array) -> _Grid:
@@ -114,7 +127,7 @@ def _sorted(center: Array, width: Array) -> _Grid:
     # A free cell at both ends of a row keeps rows apart.
     columns, rows = jnp.max(cell[:, 0]) + 2, jnp.max(cell[:, 1]) + 2
     number = cell[:, 0] + columns * (cell[:, 1] + rows * cell[:, 2])
-    order = jnp.argsort(number)
+    order = jnp.argsort(number).astype(jnp.int32)
     number = number[order]
     # Of the nine rows of cells around one, those that come later; and what comes later in its own.
     later = jnp.stack(
@@ -127,28 +140,34 @@ def _sorted(center: Array, width: Array) -> _Grid:
     room = length.shape[0]
     runs, many = compacted(lambda at: (length[at] > 0)[:, None], jnp.asarray(room), 1, room, ROUGH)
     length = jnp.where(jnp.arange(room) < many, length[runs], 0)
-    until = jnp.cumsum(length)
-    return _Grid(order, runs // later.shape[0], first.reshape(-1)[runs] - (until - length), until)
+    until = jnp.cumsum(length).astype(jnp.int32)
+    before = first.reshape(-1)[runs] - (until - length)
+    return _Grid(order, runs // later.shape[0], before.astype(jnp.int32), until)
 
 
-def _may_meet(contact: Contact, x: Array, extent: Array, one: Array, two: Array) -> Array:
-    """Whether triangles (m,) may come within the range when each moves by its `extent` (f,), share no node,
-    and have sites far enough from one another at rest."""
-    first, second = contact.faces[one], contact.faces[two]
-    shared = jnp.any(first[:, :, None] == second[:, None], axis=(1, 2))
+def _no_neighbors(faces: Array, one: Array, two: Array) -> Array:
+    """Whether triangles (m,) share no node."""
+    same = [faces[:, i][one] == faces[:, j][two] for i in range(3) for j in range(3)]
+    return ~reduce(jnp.logical_or, same)
+
+
+def _may_touch(contact: Contact, x: Array, one: tuple[Array, Array], two: tuple[Array, Array]) -> Array:
+    """Whether triangles, given by nodes (m, 3) and how far these move (m,), may come within the range, and
+    have sites far enough from one another at rest."""
+    (first, one_moves), (second, two_moves) = one, two
     rest = gather(contact.rest, first), gather(contact.rest, second)
     squared = [dot(sub(p, q), sub(p, q)) for p in rest[0] for q in rest[1]]
     interact = reduce(jnp.maximum, squared) >= (EXCLUSION * contact.range) ** 2
     gap = _gap(gather(x, first), gather(x, second))
-    return ~shared & interact & (gap <= contact.range + extent[one] + extent[two])
+    return interact & (gap <= contact.range + one_moves + two_moves)
 
 
 def _gap(first: tuple[Vec, ...], second: tuple[Vec, ...]) -> Array:
     """Lower bound (m,) of the distance of triangles: that of their bounding boxes, or the largest separation
     along the line of their centres or a normal."""
     zero = jnp.zeros_like(first[0][0])
-    boxes = [jnp.maximum(_apart_by([c[i] for c in first], [c[i] for c in second]), zero) for i in range(3)]
-    gap = jnp.sqrt(sum((side * side for side in boxes), zero))
+    apart = [jnp.maximum(_apart_by([c[i] for c in first], [c[i] for c in second]), zero) for i in range(3)]
+    gap = jnp.sqrt(sum((side * side for side in apart), zero))
     centers = [reduce(add, side) for side in (first, second)]
     normals = [cross(sub(side[1], side[0]), sub(side[2], side[0])) for side in (first, second)]
     for axis in (sub(centers[1], centers[0]), *normals):

@@ -1,9 +1,10 @@
-"""The structure of sheet and contact in one matrix, renewed on the host with every list of candidates."""
+"""The structure of sheet and contact in one matrix, made on the host for a list of pairs."""
 
 import jax.numpy as jnp
 import numpy as np
 
 from jaxcrumple.model.cross import SIZE, Merged
+from jaxcrumple.model.near import NONE
 from jaxcrumple.model.pattern import Pattern, scalar_entries
 
 
@@ -22,7 +23,7 @@ class Merger:
         self.order = entries.reshape(-1)[self.upper]
 
     def merge(self, triangles: np.ndarray, capacity: int) -> Merged:
-        """Structure with room for `capacity` pairs, the first of which are `triangles` (c, 2)."""
+        """Structure with room for `capacity` pairs, the first of which are `triangles` (c, 2), sorted."""
         n, room = self.n, self.nnz + SIZE * capacity
         nodes = self.faces[triangles]
         a, b = np.broadcast_arrays(nodes[:, 0, :, None], nodes[:, 1, None, :])
@@ -41,4 +42,7 @@ class Merger:
         cross = np.full((capacity, SIZE), room, np.int32)
         cross[: len(nodes)] = found.reshape(-1, SIZE)
         indptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-        return Merged(jnp.asarray(indptr), jnp.asarray(indices[:-1]), jnp.asarray(place), jnp.asarray(cross))
+        pairs = np.full(capacity, NONE)
+        pairs[: len(triangles)] = triangles[:, 0] * np.int64(len(self.faces)) + triangles[:, 1]
+        arrays = (indptr, indices[:-1], place, pairs, cross)
+        return Merged(*map(jnp.asarray, arrays))

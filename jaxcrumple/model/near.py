@@ -1,15 +1,15 @@
 """Who meets whom: candidate pairs of triangles, and the pairs of sites among them, as lists that hold for a
 while.
 
-Three tiers. `Candidates` are pairs of triangles that may come within the contact range while no node moves
-further than its reach. `Near`, refreshed inside a compiled program, are those that may do so while no node
-moves further than its slack, which is less, with their pairs of sites; `Tight` are those of the pairs of
-sites that may interact within the next step or two. Motion counts from the positions at which a list was
-made, less the mean motion of the sheet, which changes no distance. Lists are ordered and what does not
-interact adds exact zeros, so results do not depend on when a list was made.
+Two tiers. `Candidates` are pairs of triangles that may come within the contact range while no node moves
+further than its reach, which is that of many steps. `Near` are those that may do so within a step or two,
+with their pairs of sites. Motion counts from the positions at which a list was made, less the mean motion of
+the sheet, which changes no distance. Lists are ordered and what does not interact adds exact zeros, so
+results do not depend on when a list was made.
 """
 
 from collections.abc import Callable
+from functools import reduce
 from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
@@ -26,57 +26,59 @@ if TYPE_CHECKING:
 
 # Sites that are nearer than this many ranges in the rest state never interact.
 EXCLUSION = 2.0
-# Pairs of triangles, and of sites, that are looked at together while a list is made.
-PAIRS, SITES = 128, 4096
-# Smallest slack of a node, in ranges, in a `Near` and in a `Tight`.
-SLACK, TIGHT_SLACK = 0.25, 0.05
-# Steps like the next one for which a list is made, and that step itself with some room.
-SEVERAL, ONE = 3.0, 1.2
+# Pairs of boxes, of triangles and of sites that are looked at together while a list is made.
+BOXES, PAIRS, SITES = 1024, 128, 4096
+# Behind the keys of all pairs of triangles.
+NONE = jnp.iinfo(jnp.int64).max
+
+
+class Around(eqx.Module):
+    """What a list is made for: motions up to `reach` (n,) m from positions `x` (n, 3) m."""
+
+    x: Array
+    reach: Array
+
+    def equals(self, other: "Around") -> Array:
+        """Whether the other one is the same."""
+        return jnp.all(self.x == other.x) & jnp.all(self.reach == other.reach)
+
+    def covers(self, x: Array, share: float = 1.0) -> Array:
+        """Whether no node of `x` (n, 3) is further away than this share of its reach."""
+        return jnp.all(motion(self.x, x) <= share * self.reach)
 
 
 class Candidates(eqx.Module):
     """Pairs of triangles that may meet.
 
-    `triangles` (c, 2), first below second, sorted, the first `count` of them valid; made at positions `x`
-    (n, 3) m for motions up to `reach` (n,) m. `folded` (w,): which of the ways of `Fans` are among them.
+    `triangles` (c, 2), first below second, sorted, the first `count` of them valid, for motions `around`.
+    `folded` (w,): which of the ways of `Fans` are among them.
     """
 
     triangles: Array
     count: Array
-    x: Array
-    reach: Array
+    around: Around
     folded: Array
-
-    def made_for(self, x: Array, reach: Array) -> Array:
-        """Whether the list is that of positions `x` (n, 3) and `reach` (n,)."""
-        return jnp.all(self.x == x) & jnp.all(self.reach == reach)
-
-    def covers(self, x: Array, share: float = 1.0) -> Array:
-        """Whether no node is further away than this share of its reach."""
-        return jnp.all(motion(self.x, x) <= share * self.reach)
 
 
 class Near(eqx.Module):
     """Pairs of sites that may interact.
 
-    - `pairs` (T,): their triangles' place among the candidates; `triangles` (T, 2); `distance` (T,) m
-      between the parts of the two that share no node; the first `pair_count` are valid.
+    - `triangles` (T, 2), and `distance` (T,) m between the parts of the two that share no node; the first
+      `pair_count` are valid.
     - `found` (K,): sites of the first triangle that lie near the second, as place in `triangles` * s + site.
     - `picked` (P,): pairs of sites, as place in `found` * s + site of the second triangle; the first
       `site_count` are valid.
-    - `x` (n, 3), `slack` (n,): where the list was made, and how far nodes may move.
+    - `around`: the motions for which it holds.
     - `needed` (3,): as `Room`, at least; the list holds nowhere where that is more than there is.
     """
 
-    pairs: Array
     triangles: Array
     distance: Array
     pair_count: Array
     found: Array
     picked: Array
     site_count: Array
-    x: Array
-    slack: Array
+    around: Around
     needed: Array
 
     @property
@@ -87,30 +89,11 @@ class Near(eqx.Module):
     @property
     def room(self) -> "Room":
         """The sizes of the list."""
-        return Room(self.pairs.shape[0], self.found.shape[0], self.picked.shape[0])
+        return Room(self.triangles.shape[0], self.found.shape[0], self.picked.shape[0])
 
     def covers(self, x: Array, share: float = 1.0) -> Array:
-        """Whether no node is further away than this share of its slack, and all pairs fitted."""
-        return jnp.all(motion(self.x, x) <= share * self.slack) & ~jnp.any(self.overflow)
-
-
-class Tight(eqx.Module):
-    """Pairs of sites out of a `Near`, `picked` (P,) as there, the first `count` of them valid, while no node
-    moves further than `slack` (n,) from `x` (n, 3)."""
-
-    picked: Array
-    count: Array
-    x: Array
-    slack: Array
-
-    def covers(self, x: Array, share: float = 1.0) -> Array:
-        """Whether no node is further away than this share of its slack."""
-        return jnp.all(motion(self.x, x) <= share * self.slack)
-
-
-def whole(near: Near) -> Tight:
-    """All pairs of sites in a list."""
-    return Tight(near.picked, near.site_count, near.x, near.slack)
+        """Whether no node is further away than this share of its reach, and all pairs fitted."""
+        return self.around.covers(x, share) & ~jnp.any(self.overflow)
 
 
 class Room(NamedTuple):
@@ -122,6 +105,12 @@ class Room(NamedTuple):
 
 
 SMALLEST = Room()
+
+
+def pair_key(triangles: Array, n_faces: int) -> Array:
+    """Keys (m,) of pairs of triangles (m, 2), first below second, in the order of sorted pairs."""
+    wide = triangles.astype(jnp.int64)
+    return wide[:, 0] * n_faces + wide[:, 1]
 
 
 def split(place: Array, width: int) -> tuple[Array, Array]:
@@ -137,42 +126,33 @@ def motion(start: Array, end: Array) -> Array:
     return jnp.sqrt(jnp.sum(moved * moved, axis=1))
 
 
+def nowhere(n: int) -> Around:
+    """No motions at all."""
+    return Around(jnp.full((n, 3), jnp.nan, float), jnp.zeros(n))
+
+
 def no_candidates(n: int, ways: int, room: int = 1) -> Candidates:
     """A list that holds nowhere."""
     triangles, folded = jnp.zeros((room, 2), jnp.int32), jnp.zeros(ways, bool)
-    return Candidates(triangles, jnp.zeros((), int), jnp.full((n, 3), jnp.nan, float), jnp.zeros(n), folded)
+    return Candidates(triangles, jnp.zeros((), int), nowhere(n), folded)
 
 
 def no_neighbors(n: int, room: Room = SMALLEST) -> Near:
     """A list that holds nowhere."""
     t, zero = room.triangles, jnp.zeros((), int)
     return Near(
-        jnp.zeros(t, jnp.int32), jnp.zeros((t, 2), jnp.int32), jnp.zeros(t), zero,
-        jnp.zeros(room.sites, jnp.int32), jnp.zeros(room.pairs, jnp.int32), zero,
-        jnp.full((n, 3), jnp.nan, float), jnp.zeros(n), jnp.zeros(3, int),
+        jnp.zeros((t, 2), jnp.int32), jnp.zeros(t), zero, jnp.zeros(room.sites, jnp.int32),
+        jnp.zeros(room.pairs, jnp.int32), zero, nowhere(n), jnp.zeros(3, int),
     )  # fmt: skip
 
 
-def slack_for(contact: "Contact", x: Array, ahead: Array) -> Array:
-    """Slack (n,) of a list made at `x` for steps that go to `ahead` (n, 3): for a few of them, or for one
-    where that is far."""
-    moved = motion(x, ahead)
-    few = jnp.minimum(SEVERAL * moved, jnp.maximum(ONE * moved, 2.0 * SLACK * contact.range))
-    return SLACK * contact.range + few
-
-
-def find_near(contact: "Contact", x: Array, slack: Array) -> Near:
-    """The pairs of sites that may interact while no node moves further than `slack` (n,) from `x` (n, 3),
-    in a list of the same size as the one that `contact` has."""
-    candidates, faces, room = contact.candidates, contact.faces, contact.near.room
-    first, second = faces[candidates.triangles[:, 0]], faces[candidates.triangles[:, 1]]
-    reach = contact.range + jnp.max(slack[first], axis=1) + jnp.max(slack[second], axis=1)
-
-    def close(at: Array) -> Array:
-        return (_distances(x, first[at], second[at])[0] <= reach[at])[:, None]
-
-    pairs, pair_count = compacted(close, candidates.count, 1, room.triangles, PAIRS)
-    first, second, reach = first[pairs], second[pairs], reach[pairs]
+def find_near(contact: "Contact", around: Around) -> Near:
+    """The pairs of sites that may interact within motions `around`, in a list of the same size as the one
+    that `contact` has."""
+    faces, room, x = contact.faces, contact.near.room, around.x
+    triangles, pair_count = _near_triangles(contact, around)
+    first, second = faces[triangles[:, 0]], faces[triangles[:, 1]]
+    reach = _limit(contact, around, first, second)
 
     def site_close(at: Array) -> Array:
         """Sites of the first triangles that lie near the second ones."""
@@ -193,17 +173,53 @@ def find_near(contact: "Contact", x: Array, slack: Array) -> Near:
 
     picked, total = compacted(sites_close, found_count, count, room.pairs, rows)
     return Near(
-        pairs=pairs,
-        triangles=candidates.triangles[pairs],
+        triangles=triangles,
         distance=_fill(lambda at: _distances(x, first[at], second[at])[1], pair_count, room.triangles),
         pair_count=pair_count,
         found=found,
         picked=picked,
         site_count=total,
-        x=x,
-        slack=slack,
+        around=around,
         needed=jnp.stack([pair_count, found_count, total]),
     )
+
+
+def _near_triangles(contact: "Contact", around: Around) -> tuple[Array, Array]:
+    """Pairs of triangles (T, 2) that may come within the range, and how many they are."""
+    candidates, faces = contact.candidates, contact.faces
+    low, high = boxes(around.x[faces], jnp.max(around.reach[faces], axis=1))
+
+    def overlap(at: Array) -> Array:
+        one, two = candidates.triangles[at, 0], candidates.triangles[at, 1]
+        return boxes_meet(low, high, one, two, contact.range)[:, None]
+
+    size = candidates.triangles.shape[0]
+    rough, count = compacted(overlap, candidates.count, 1, size, BOXES)
+
+    def close(at: Array) -> Array:
+        first, second = (faces[candidates.triangles[rough[at], side]] for side in range(2))
+        return (_distances(around.x, first, second)[0] <= _limit(contact, around, first, second))[:, None]
+
+    kept, pair_count = compacted(close, count, 1, contact.near.room.triangles, PAIRS, lambda at: rough[at])
+    return candidates.triangles[kept], pair_count
+
+
+def _limit(contact: "Contact", around: Around, first: Array, second: Array) -> Array:
+    """Distance (m,) within which pairs of triangles with nodes (m, 3) may interact."""
+    return contact.range + sum(jnp.max(around.reach[nodes], axis=1) for nodes in (first, second))
+
+
+def boxes(corners: Array, extent: Array) -> tuple[Vec, Vec]:
+    """Lowest and highest coordinates, three (f,) each, of triangles with `corners` (f, 3, 3) that move by
+    `extent` (f,)."""
+    low, high = jnp.min(corners, axis=1) - extent[:, None], jnp.max(corners, axis=1) + extent[:, None]
+    return (low[:, 0], low[:, 1], low[:, 2]), (high[:, 0], high[:, 1], high[:, 2])
+
+
+def boxes_meet(low: Vec, high: Vec, one: Array, two: Array, range: Array) -> Array:
+    """Whether the boxes `one` (m,) and `two` (m,) come within the range of one another."""
+    apart = [jnp.maximum(a[one] - b[two], a[two] - b[one]) for a, b in zip(low, high, strict=True)]
+    return reduce(jnp.maximum, apart) <= range
 
 
 def _distances(x: Array, first: Array, second: Array) -> tuple[Array, Array]:

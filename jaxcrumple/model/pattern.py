@@ -138,9 +138,8 @@ def build_pattern(
 def _no_contact(locate, faces: np.ndarray) -> Cross:
     """Contact of triangles none of which touches another."""
     blocks = locate(faces[:, np.array(upper_pairs(3))])
-    none = jnp.zeros(1, jnp.int32)
     two, six = jnp.zeros((1, 2), jnp.int32), jnp.zeros((1, 6), jnp.int32)
-    return Cross(jnp.asarray(blocks.astype(np.int32)), two, six, none, jnp.asarray(0), None)
+    return Cross(jnp.asarray(blocks.astype(np.int32)), two, six, jnp.asarray(0), None)
 
 
 def _global_pairs(stencil: np.ndarray) -> np.ndarray:

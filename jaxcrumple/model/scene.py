@@ -16,7 +16,7 @@ from jaxcrumple.model.damping import AbstractDashpot, CentralDashpot, Drag, Pape
 from jaxcrumple.model.fields import is_known
 from jaxcrumple.model.loads import ElementEnergy, Gravity, Prescribed
 from jaxcrumple.model.membrane import Membrane
-from jaxcrumple.model.near import Near, Tight, whole
+from jaxcrumple.model.near import Near
 from jaxcrumple.model.pattern import Pattern, build_pattern
 from jaxcrumple.model.plasticity import AbstractFlowRule, SmoothstepFlow
 
@@ -73,17 +73,16 @@ class Scene(eqx.Module):
         return self.bending.rest_curvature if p is None else p
 
 
-def with_near(scene: Scene, near: Near, tight: Tight | None = None) -> Scene:
-    """The scene with other lists of interacting sites, and the tangent's pattern that goes with them."""
+def with_near(scene: Scene, near: Near) -> Scene:
+    """The scene with another list of interacting sites, and the tangent's pattern that goes with it."""
     assert scene.contact is not None
     nodes = scene.contact.faces[near.triangles].reshape(-1, 6)
     return eqx.tree_at(
         lambda s: (
-            s.contact.near, s.contact.tight, s.pattern.contact.triangles, s.pattern.contact.nodes,
-            s.pattern.contact.candidate, s.pattern.contact.count,
+            s.contact.near, s.pattern.contact.triangles, s.pattern.contact.nodes, s.pattern.contact.count,
         ),
         scene,
-        (near, whole(near) if tight is None else tight, near.triangles, nodes, near.pairs, near.pair_count),
+        (near, near.triangles, nodes, near.pair_count),
     )  # fmt: skip
 
 

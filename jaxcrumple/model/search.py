@@ -27,14 +27,16 @@ class Search:
         pairs = np.unique(self.fan_triangles, axis=0)
         self.sharing = pairs[:, 0].astype(np.int64) * len(self.faces) + pairs[:, 1]
 
-    def find(self, x: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def find(
+        self, x: np.ndarray, reach: np.ndarray, turn: float = LISTED_TURN
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Pairs of triangles that may come within the range while no node of `x` (n, 3) moves further than
-        its `reach` (n,), and no other fold gets sharper than `Fans` allow.
+        its `reach` (n,), and at folds that are sharper than `turn` rad.
 
         **Returns:** the pairs (c, 2), sorted, and which of the ways of `Fans` (w,) are folded enough to
         count.
         """
-        folded = self._folded(x)
+        folded = self._folded(x, turn)
         pairs = self.fan_triangles[folded].astype(np.int64)
         at_nodes = pairs[:, 0] * len(self.faces) + pairs[:, 1]
         keys = np.unique(np.concatenate([self._apart(x, reach), at_nodes]))
@@ -63,13 +65,13 @@ class Search:
         squared = np.sum((one[:, :, None] - two[:, None]) ** 2, axis=3)
         return squared.max(axis=(1, 2)) >= (EXCLUSION * self.sigma) ** 2
 
-    def _folded(self, x: np.ndarray) -> np.ndarray:
+    def _folded(self, x: np.ndarray, turn: float) -> np.ndarray:
         """Which ways around a node have a sharp enough fold in them."""
         a, b, c, d = (x[self.hinges[:, k]] for k in range(4))
         n1, n2 = np.cross(b - a, c - a), np.cross(d - a, b - a)
         angle = np.arctan2(np.linalg.norm(np.cross(n1, n2), axis=1), np.einsum("ij,ij->i", n1, n2))
         angles = np.append(angle, 0.0)
-        return sum(angles[column] for column in self.fan_hinges.T) > LISTED_TURN
+        return sum(angles[column] for column in self.fan_hinges.T) > turn
 
 
 def _tree_pairs(center: np.ndarray, radius: np.ndarray, room: np.ndarray, sigma: float) -> np.ndarray:

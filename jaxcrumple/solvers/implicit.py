@@ -29,7 +29,7 @@ CUT = 0.4
 class Attempt(NamedTuple):
     """A tried step: new `x`, `v`, `acceleration` (n, 3) and `p`, its `error` in units of the tolerance,
     the `order` it had, the step and order to take next, and what it took.
-    `factor` and `kept`: the last tangent, and where it was taken.
+    `factor` and `kept`: the last tangent, and where it was taken. Where `restored`, that is all there is.
 
     `cause` indexes `CAUSES`, or is -1 when the step is accepted.
     """
@@ -48,6 +48,7 @@ class Attempt(NamedTuple):
     newton: Array
     linear: Array
     factors: Array
+    restored: Array
 
     @property
     def accepted(self) -> Array:

@@ -1,6 +1,5 @@
 """`integrate`: the stages of a scheme and the changes between them as one traced function."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -16,8 +15,19 @@ from jaxcrumple.solvers.bdf import push
 from jaxcrumple.solvers.handover import Handover, after_explicit, after_implicit, handed_over, row, stay
 from jaxcrumple.solvers.implicit import Attempt, aligns
 from jaxcrumple.solvers.linear import Factor
-from jaxcrumple.solvers.lists import Lists, largest_move, listed, ready_for, renewed, start_lists, waits
+from jaxcrumple.solvers.lists import (
+    Lists,
+    largest_move,
+    listed,
+    ready_for,
+    ready_to_restore,
+    renewed,
+    start_lists,
+    state_lists,
+    waits,
+)
 from jaxcrumple.solvers.log import STEP, Log, append, empty_log
+from jaxcrumple.solvers.newton import must_restore
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.solvers.switch import observe
 from jaxcrumple.system import (
@@ -67,7 +77,7 @@ def integrate(
 
     **Returns:** the new `State` and the `Log` of this call.
     """
-    state, lists = start_lists(scene, state, solver.one_matrix)
+    state, lists = start_lists(scene, state)
     start_h = jnp.where(state.h > 0, state.h, jnp.minimum(solver.first_step, solver.max_step))
     known = jnp.any(state.stage == jnp.asarray(solver.stages))
     stage = jnp.where(known, state.stage, solver.stages[0])
@@ -75,7 +85,9 @@ def integrate(
     factor = None if solver.implicit is None else solver.implicit.linear.start(scene.pattern)
     left, log = as_float(max_attempts), empty_log(LOG_CAPACITY)
     no, nothing = jnp.asarray(False), jnp.asarray(0)
-    carry = _Carry(state, lists, log, factor, no, stay(state), no, nothing, left, state.t >= t_stop)
+    # A factor serves the steps after its own with solvers whose factors are exact.
+    held = jnp.asarray(solver.implicit is None or not solver.implicit.linear.exact)
+    carry = _Carry(state, lists, log, factor, held, stay(state), no, nothing, left, state.t >= t_stop)
 
     def stages(carry: _Carry) -> _Carry:
         carry = _renewed(scene, carry)
@@ -101,7 +113,7 @@ def _renewed(scene: Scene, carry: _Carry) -> _Carry:
     The limit is part of the state, so that a run cut anywhere goes on with the same numbers.
     """
     state, lists = renewed(scene, carry.state, carry.lists)
-    now, waiting = listed(scene, lists), waits(state, lists)
+    now, waiting = listed(scene, lists), waits(state)
     due = _limit_is_due(carry) & ~waiting
     limit = jax.lax.cond(due, lambda: explicit.stability_limit(now, state.x, state.t), lambda: state.limit)
     state = eqx.tree_at(lambda s: s.limit, state, limit)
@@ -112,7 +124,12 @@ def _renewed(scene: Scene, carry: _Carry) -> _Carry:
 
 def _limit_is_due(carry: _Carry) -> Array:
     """Whether the stability limit must be measured before the next step."""
-    return (carry.state.monitor.steps % LIMIT_EVERY == 0) & ~carry.measured
+    return (carry.state.monitor.steps % LIMIT_EVERY == 0) & ~carry.measured & ~_restores(carry)
+
+
+def _restores(carry: _Carry) -> Array:
+    """Whether the next attempt only makes the last step's factor again."""
+    return must_restore(carry.state.kept, carry.held)
 
 
 def _is_sound(scene: Scene, state: State) -> Array:
@@ -123,7 +140,7 @@ def _is_sound(scene: Scene, state: State) -> Array:
 
 def _going(carry: _Carry) -> Array:
     room = carry.log.length < LOG_CAPACITY - 4
-    sound = (carry.state.result == RESULTS.success) & ~waits(carry.state, carry.lists)
+    sound = (carry.state.result == RESULTS.success) & ~waits(carry.state)
     return ~carry.done & room & sound & (carry.spent < BUDGET) & (carry.left > 0)
 
 
@@ -131,14 +148,6 @@ def _interrupted(carry: _Carry) -> Array:
     """Whether something is due before the next step: another stage, the stability limit, or lists."""
     over = (carry.handover.stage != carry.state.stage) | _limit_is_due(carry)
     return over if carry.lists is None else over | carry.lists.due
-
-
-def _when_ready(
-    scene: Scene, carry: _Carry, ahead: Array, attempt: Callable[[_Carry], Any], wait: Callable[[_Carry], Any]
-) -> Any:
-    """An `attempt` where the lists hold for a step to `ahead`; where not, `wait` until they are made."""
-    state, lists, ready = ready_for(scene, carry.state, carry.lists, ahead, carry.held)
-    return jax.lax.cond(ready, attempt, wait, carry._replace(state=state, lists=lists))
 
 
 def _tried(
@@ -190,10 +199,16 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
         return _implicit_attempt(scene, carry, t_stop, solver, wanted, h, lands)
     ahead = solver.implicit.predict(scene, state, h)
 
+    restores = _restores(carry)
+    state, lists, ready = ready_for(scene, state, carry.lists, ahead)
+    to_restore, ready_then = ready_to_restore(scene, carry.state, carry.lists)
+    state = select(restores, carry.state, state)
+    lists, ready = select(restores, to_restore, lists), jnp.where(restores, ready_then, ready)
+
     def attempt(carry: _Carry) -> _Carry:
         return _implicit_attempt(scene, carry, t_stop, solver, wanted, h, lands)
 
-    return _when_ready(scene, carry, ahead, attempt, lambda carry: carry)
+    return jax.lax.cond(ready, attempt, lambda carry: carry, carry._replace(state=state, lists=lists))
 
 
 def _implicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted, h, lands) -> _Carry:
@@ -220,7 +235,15 @@ def _implicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, w
     hopeless = ~tried.accepted & (handover.stage != EXPLICIT) & _is_tiny(moved.h, moved.t)
     moved = _given_up(moved, hopeless, tried.cause)
     carry = carry._replace(factor=tried.factor, held=jnp.ones_like(carry.held))
-    return _tried(carry, moved, log, handover, IMPLICIT_COST, tried.accepted, lands)
+    after = _tried(carry, moved, log, handover, IMPLICIT_COST, tried.accepted, lands)
+    restored = carry._replace(lists=state_lists(state, carry.lists))
+    return after._replace(
+        **{
+            name: select(tried.restored, getattr(restored, name), getattr(after, name))
+            for name in _Carry._fields
+            if name not in ("factor", "held")
+        }
+    )
 
 
 def _moved(scene: Scene, state: State, tried: Attempt, h: Array, t: Array, solver: Integrator) -> State:
@@ -298,13 +321,15 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop, solver: Integrator, stag
     ahead = state.x + LOOK_AHEAD * wanted * state.v
     ahead = state.x + largest_move(scene, state.x, ahead) * (ahead - state.x)
 
+    state, lists, ready = ready_for(scene, state, carry.lists, ahead)
+
     def attempt(carry: _Carry):
         return _explicit_attempt(scene, carry, t_stop, solver, wanted, stages, fresh)
 
     def wait(carry: _Carry):
         return carry, stages, jnp.asarray(False)
 
-    return _when_ready(scene, carry, ahead, attempt, wait)
+    return jax.lax.cond(ready, attempt, wait, carry._replace(state=state, lists=lists))
 
 
 def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted, stages, fresh):

@@ -10,18 +10,9 @@ from jax import Array
 
 from jaxcrumple.model.contact import Contact
 from jaxcrumple.model.fans import DUE_TURN, MOST_TURN
+from jaxcrumple.model.fields import select
 from jaxcrumple.model.grid import find_candidates
-from jaxcrumple.model.near import (
-    ONE,
-    TIGHT_SLACK,
-    Candidates,
-    Near,
-    Tight,
-    find_near,
-    motion,
-    slack_for,
-    whole,
-)
+from jaxcrumple.model.near import Around, Candidates, Near, find_near, motion
 from jaxcrumple.model.scene import Scene, with_near
 from jaxcrumple.system import NEVER, Listing, State
 
@@ -29,90 +20,77 @@ from jaxcrumple.system import NEVER, Listing, State
 USED = 0.9
 # Share of the largest move that a step without any before it may make.
 UNKNOWN = 0.25
-# A tight list with slacks so many times those that a step needs is made anew.
-LOOSE = 2.0
-# Reach of a new list of candidates: ranges, and steps like the next one; it need not be more than lets a flat
-# sheet have no candidates, but is FEWEST steps at least.
-REACH, STEPS, FEWEST = 0.35, 32.0, 2.0
+# A list of sites is made for SEVERAL steps as long as they go no further than WAY ranges, with some ROOM and
+# SLACK ranges; one that reaches LOOSE times further than steps now need is made anew.
+SEVERAL, WAY, ROOM, SLACK, LOOSE = 4.0, 0.25, 1.2, 0.05, 2.0
+# Reach of a list of candidates: ranges, and steps like the next one; of the latter FEWEST at least, and more
+# only up to FURTHEST ranges.
+REACH, STEPS, FEWEST, FURTHEST = 0.35, 16.0, 2.0, 1.0
+# The same of pairs that have a place in the matrix; beyond FEWEST steps only while a flat sheet has none.
+PLACED_REACH, PLACED_STEPS = 0.75, 32.0
 
 
 class Lists(NamedTuple):
-    """What the loop holds: pairs of sites `near`, and `tight` out of these; the `slack` (n,) that the next
-    `near` must have, and whether it is `due`, before the next step; and the `candidates`, or None where the
-    host searches for them."""
+    """What the loop holds: pairs of triangles that are `candidates`, and pairs of sites `near`; for which
+    motions the next ones must be made (`wide`, `close`), and whether that is due, before the next step."""
 
-    candidates: Candidates | None
+    candidates: Candidates
     near: Near
-    tight: Tight
-    slack: Array
+    wide: Around
+    close: Around
     due: Array
 
 
-def start_lists(scene: Scene, state: State, by_host: bool) -> tuple[State, Lists | None]:
-    """Lists that hold nowhere, and the state, which says whether a search is due first: `by_host`, or in the
-    program."""
+def start_lists(scene: Scene, state: State) -> tuple[State, Lists | None]:
+    """Lists that are due, and the state, which needs no others yet."""
     contact, listing = scene.contact, state.listing
     if contact is None or listing is None:
         return state, None
-    known = contact.candidates.made_for(listing.x, listing.reach)
-    none = jnp.zeros_like(listing.needed)
-    state = eqx.tree_at(lambda s: s.listing, state, Listing(listing.x, listing.reach, ~known, none))
-    slack = jnp.maximum(slack_for(contact, state.x, state.x), _back(state, jnp.asarray(False)))
-    candidates = None if by_host else contact.candidates
-    return state, Lists(candidates, contact.near, contact.tight, slack, jnp.asarray(True))
+    state = eqx.tree_at(lambda s: s.listing.needed, state, jnp.zeros_like(listing.needed))
+    lists = Lists(contact.candidates, contact.near, listing.candidates, listing.near, jnp.asarray(True))
+    return state, lists
 
 
-def waits(state: State, lists: Lists | None) -> Array:
-    """Whether the state waits for the host: for a search or for longer lists."""
-    listing = state.listing
-    if listing is None or lists is None:
+def state_lists(state: State, lists: Lists | None) -> Lists | None:
+    """The lists, which must be those of the state."""
+    if state.listing is None or lists is None:
+        return None
+    return lists._replace(wide=state.listing.candidates, close=state.listing.near, due=jnp.asarray(True))
+
+
+def waits(state: State) -> Array:
+    """Whether the state waits for the host: for places in the matrix, or for longer lists."""
+    if state.listing is None:
         return jnp.asarray(False)
-    short = jnp.any(listing.needed > 0)
-    return listing.stale | short if lists.candidates is None else short
+    return state.listing.stale | jnp.any(state.listing.needed > 0)
 
 
 def listed(scene: Scene, lists: Lists | None) -> Scene:
     """The scene with what is in the lists."""
     if lists is None:
         return scene
-    if lists.candidates is not None:
-        scene = eqx.tree_at(lambda s: s.contact.candidates, scene, lists.candidates)
-    return with_near(scene, lists.near, lists.tight)
+    return with_near(eqx.tree_at(lambda s: s.contact.candidates, scene, lists.candidates), lists.near)
 
 
 def renewed(scene: Scene, state: State, lists: Lists | None) -> tuple[State, Lists | None]:
-    """The lists made anew at the state's positions where that is due; the state says whether they fitted."""
+    """The lists made anew where that is due; the state says whether they fitted."""
     if state.listing is None or lists is None:
         return state, None
-    state, lists = _searched(scene, state, lists)
-    contact = listed(scene, lists).contact
-    assert contact is not None and state.listing is not None
-
-    def anew() -> tuple[Near, Tight]:
-        near = find_near(contact, state.x, lists.slack)
-        return near, whole(near)
-
-    near, tight = jax.lax.cond(lists.due, anew, lambda: (lists.near, lists.tight))
-    room = contact.candidates.triangles.shape[0]
-    needed = jnp.append(near.needed, contact.candidates.count)
-    short = jnp.any(near.overflow) | (contact.candidates.count > room)
-    state = eqx.tree_at(lambda s: s.listing.needed, state, jnp.where(short, needed, 0))
-    return state, lists._replace(near=near, tight=tight, due=jnp.asarray(False))
-
-
-def _searched(scene: Scene, state: State, lists: Lists) -> tuple[State, Lists]:
-    """The candidates made anew where they are stale and the program makes them."""
-    contact, listing, old = scene.contact, state.listing, lists.candidates
-    if contact is None or listing is None or old is None:
-        return state, lists
+    wide, old = lists.wide, lists.candidates
 
     def search() -> Candidates:
-        theta = scene.bending.hinges(listing.x).theta
-        return find_candidates(contact, theta, listing.x, listing.reach)
+        assert scene.contact is not None
+        return find_candidates(scene.contact, scene.bending.hinges(wide.x).theta, wide)
 
-    candidates = jax.lax.cond(listing.stale, search, lambda: old)
-    state = eqx.tree_at(lambda s: s.listing.stale, state, jnp.asarray(False))
-    return state, lists._replace(candidates=candidates)
+    other = lists.due & ~old.around.equals(wide)
+    lists = lists._replace(candidates=jax.lax.cond(other, search, lambda: old))
+    contact = listed(scene, lists).contact
+    assert contact is not None and lists is not None
+    near = jax.lax.cond(lists.due, lambda: find_near(contact, lists.close), lambda: lists.near)
+    needed = jnp.append(lists.candidates.count, near.needed)
+    short = jnp.any(near.overflow) | (lists.candidates.count > lists.candidates.triangles.shape[0])
+    state = eqx.tree_at(lambda s: s.listing.needed, state, jnp.where(short, needed, 0))
+    return state, lists._replace(near=near, due=jnp.asarray(False))
 
 
 def largest_move(scene: Scene, x: Array, ahead: Array, known: Array | bool = True) -> Array:
@@ -123,46 +101,78 @@ def largest_move(scene: Scene, x: Array, ahead: Array, known: Array | bool = Tru
     return jnp.minimum(most / jnp.maximum(jnp.max(motion(x, ahead)), 1e-300), 1.0)
 
 
-def ready_for(
-    scene: Scene, state: State, lists: Lists | None, ahead: Array, held: Array
-) -> tuple[State, Lists | None, Array]:
+def ready_for(scene: Scene, state: State, lists: Lists | None, ahead: Array) -> tuple[State, Lists, Array]:
     """Whether the lists hold for a step from the state to `ahead` (n, 3); where not, what is due before.
 
-    Unless the factor of the last tangent is `held`, they hold for that too.
+    All follows from the state alone, also where pairs have no place in the matrix: the state then says so and
+    waits for the host.
     """
     contact, listing = listed(scene, lists).contact, state.listing
-    if contact is None or listing is None or lists is None:
-        return state, None, jnp.asarray(True)
-    blunt = contact.sharpest(scene.bending.hinges(state.x).theta) < DUE_TURN
-    stale = ~(contact.candidates.covers(ahead, USED) & blunt)
+    assert contact is not None and listing is not None and lists is not None
+    lists = lists._replace(wide=listing.candidates, close=listing.near)
     moved = motion(state.x, ahead)
-    reach = REACH * contact.range + STEPS * moved
-    least = REACH * contact.range + FEWEST * moved
-    reach = jnp.minimum(reach, jnp.maximum(contact.calm, least))
-    wanted = Listing(
-        jnp.where(stale, state.x, listing.x), jnp.where(stale, reach, listing.reach), stale, listing.needed
+    candidates, near = _wide(contact, state.x, moved), _close(contact, state.x, ahead, moved)
+    known = _made(lists)
+    blunt = contact.sharpest(scene.bending.hinges(state.x).theta) < DUE_TURN
+    wide = known & ~(listing.candidates.covers(ahead, USED) & blunt)
+    holds = listing.near.covers(state.x) & listing.near.covers(ahead, USED)
+    loose = jnp.mean(listing.near.reach) > LOOSE * jnp.mean(near.reach)
+    close = wide | (known & (loose | ~holds))
+    stale = known & ~close & ~_have_places(scene, lists)
+    listing = Listing(
+        candidates=select(wide | stale, candidates, listing.candidates),
+        near=select(close | stale, near, listing.near),
+        matrix=select(stale, _placed(contact, state.x, moved), listing.matrix),
+        stale=stale,
+        needed=listing.needed,
     )
-    holds, back = lists.near.covers(ahead, USED), _back(state, held)
-    slack = jnp.where(holds & ~stale, lists.slack, jnp.maximum(slack_for(contact, state.x, ahead), back))
-    state = eqx.tree_at(lambda s: s.listing, state, wanted)
-    tight = _tight_for(contact, state, lists.tight, ahead)
-    ready = holds & ~stale
-    return state, lists._replace(tight=tight, slack=slack, due=~ready), ready
+    age = jnp.where(stale, NEVER, state.kept.age)
+    state = eqx.tree_at(lambda s: (s.listing, s.kept.age), state, (listing, age))
+    ready = known & ~close & ~stale
+    lists = lists._replace(wide=listing.candidates, close=listing.near, due=~ready & ~stale)
+    return state, lists, ready
 
 
-def _back(state: State, held: Array) -> Array:
-    """Slack (n,) that a list needs to hold where the last tangent was taken, if it must be taken again."""
-    return jnp.where(held | (state.kept.age >= NEVER), 0.0, motion(state.x, state.kept.x) / USED)
+def ready_to_restore(scene: Scene, state: State, lists: Lists | None) -> tuple[Lists, Array]:
+    """The same for making the factor of the last tangent again, which changes nothing else."""
+    assert scene.contact is not None and lists is not None
+    there = _close(scene.contact, state.kept.x, state.kept.x, jnp.zeros(scene.n_nodes))
+    lists = lists._replace(wide=there, close=there)
+    ready = _made(lists)
+    return lists._replace(due=~ready), ready
 
 
-def _tight_for(contact: Contact, state: State, tight: Tight, ahead: Array) -> Tight:
-    """The tight list, made anew where it does not hold for a step to `ahead` (n, 3) or holds too much."""
-    # In the middle of the way, so that both ends are as near as can be.
-    middle = 0.5 * (state.x + ahead)
-    slack = TIGHT_SLACK * contact.range + 0.5 * ONE * motion(state.x, ahead)
-    loose = jnp.mean(tight.slack) > LOOSE * jnp.mean(slack)
-    good = tight.covers(ahead, USED) & ~loose
-    return jax.lax.cond(good, lambda: tight, lambda: contact.tightened(middle, slack))
+def _have_places(scene: Scene, lists: Lists) -> Array:
+    """Whether all pairs have a place in the matrix, where there is one."""
+    cross = listed(scene, lists).pattern.contact
+    return jnp.asarray(True) if cross is None else cross.placed()
+
+
+def _made(lists: Lists) -> Array:
+    """Whether the lists are those that must be made."""
+    return lists.candidates.around.equals(lists.wide) & lists.near.around.equals(lists.close)
+
+
+def _placed(contact: Contact, x: Array, moved: Array) -> Around:
+    """Reach of pairs that get a place in the matrix at positions `x` (n, 3), before steps that move nodes by
+    `moved` (n,)."""
+    floor = PLACED_REACH * contact.range + FEWEST * moved
+    reach = PLACED_REACH * contact.range + PLACED_STEPS * moved
+    return Around(x, jnp.minimum(reach, jnp.maximum(contact.calm, floor)))
+
+
+def _wide(contact: Contact, x: Array, moved: Array) -> Around:
+    """Reach of candidates at positions `x` (n, 3) before steps that move nodes by `moved` (n,)."""
+    floor = REACH * contact.range + FEWEST * moved
+    furthest = jnp.maximum(floor, (REACH + FURTHEST) * contact.range)
+    return Around(x, jnp.minimum(REACH * contact.range + STEPS * moved, furthest))
+
+
+def _close(contact: Contact, x: Array, ahead: Array, moved: Array) -> Around:
+    """Motions of the next steps from `x` (n, 3), of which the first one goes to `ahead` and moves nodes by
+    `moved` (n,): from the middle of their way, so that both its ends are as near as can be."""
+    steps = jnp.clip(WAY * contact.range / jnp.maximum(jnp.max(moved), 1e-300), 1.0, SEVERAL)
+    return Around(x + 0.5 * steps * (ahead - x), SLACK * contact.range + 0.5 * ROOM * steps * moved)
 
 
 def passes(scene: Scene, state: State, x: Array, t: Array) -> Array:

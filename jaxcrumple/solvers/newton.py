@@ -28,7 +28,7 @@ class NewtonSolution(NamedTuple):
 
     `x` (n, 3); `factor` the last tangent's, and `kept`, where that was taken; `iterations`, `linear`
     iterations and `factors` made; `converged`; `indefinite`: a tangent had a negative eigenvalue, so the
-    equilibrium is unstable.
+    equilibrium is unstable; `restored`: nothing but a factor that was not held was made again.
     """
 
     x: Array
@@ -39,6 +39,7 @@ class NewtonSolution(NamedTuple):
     factors: Array
     converged: Array
     indefinite: Array
+    restored: Array
 
 
 class _Carry(NamedTuple):
@@ -50,7 +51,6 @@ class _Carry(NamedTuple):
     factors: Array
     update: Array
     renew: Array
-    restore: Array
     converged: Array
     failed: Array
     indefinite: Array
@@ -71,16 +71,17 @@ def newton(
 
     A solver whose factor solves exactly keeps tangent and factor for as long as they contract, also from one
     step with inertia to the next: `kept` says where the factor's tangent was taken, and `held` whether the
-    factor is there or must be made again. For other solvers every iteration has its own tangent and the first
-    one's preconditioner. Stops when the remaining error, estimated from the contraction of the updates, is
-    below `tolerance` (m, maximum norm), or when the updates grow, or the tangent is indefinite, or after
-    `max_iterations`.
+    factor is there; where not, it is made again and nothing else. For other solvers every iteration has its
+    own tangent and the first one's preconditioner. Stops when the remaining error, estimated from the
+    contraction of the updates, is below `tolerance` (m, maximum norm), or when the updates grow, or the
+    tangent is indefinite, or after `max_iterations`.
     """
     old = Linearization(step, guess, jnp.asarray(NEVER, int)) if kept is None else kept
+    restores = must_restore(old, held)
     usable = _usable(step, old) if linear.exact and kept is not None else jnp.asarray(False)
 
     def renewed(carry: _Carry) -> Factor:
-        here = select(carry.restore, (old.step, old.x), (step, carry.x))
+        here = select(restores, (old.step, old.x), (step, carry.x))
         return linear.factor(scene.pattern, linearize(scene, *here)[1], carry.factor)
 
     def tangent(carry: _Carry) -> tuple[Array, Factor]:
@@ -96,9 +97,8 @@ def newton(
     def body(carry: _Carry) -> _Carry:
         value, _ = residual(scene, step, carry.x)
         values, factor = tangent(carry)
-        own = carry.renew & ~carry.restore
         taken = Linearization(step, carry.x, jnp.zeros_like(old.age))
-        kept = select(own, taken, carry.kept)
+        kept = select(carry.renew, taken, carry.kept)
         solution = linear.solve(scene.pattern, factor, values, -value.reshape(-1), FORCING)
         update = jnp.max(jnp.abs(solution.x))
         first = jnp.isinf(carry.update)
@@ -118,27 +118,34 @@ def newton(
             carry.factors + carry.renew,
             jnp.where(again, jnp.inf, update),
             again | (~first & (remaining * contraction**PATIENCE > tolerance)),
-            jnp.zeros_like(carry.restore),
             converged & ~lost,
             lost & ~again,
             solution.indefinite & ~again,
         )
 
     def unfinished(carry: _Carry) -> Array:
-        return ~carry.converged & ~carry.failed & (carry.iterations < max_iterations)
+        over = carry.converged | carry.failed | (restores & (carry.iterations > 0))
+        return ~over & (carry.iterations < max_iterations)
 
     zero, no = jnp.asarray(0), jnp.asarray(False)
-    old = eqx.tree_at(lambda k: k.age, old, jnp.where(usable, old.age + 1, NEVER))
-    restore = usable & ~jnp.asarray(held)
+    first = eqx.tree_at(lambda k: k.age, old, jnp.where(usable, old.age + 1, NEVER))
     start = _Carry(
-        guess, factor, old, zero, zero, zero, jnp.asarray(jnp.inf), ~usable | restore, restore, no, no, no
+        guess, factor, first, zero, zero, zero, jnp.asarray(jnp.inf), ~usable | restores, no, no, no
     )
     end = jax.lax.while_loop(unfinished, body, start)
     age = jnp.where(end.converged, end.kept.age, NEVER)
-    last = None if kept is None else eqx.tree_at(lambda k: k.age, end.kept, age)
+    last = None
+    if kept is not None:
+        last = select(restores, kept, eqx.tree_at(lambda k: k.age, end.kept, age))
     return NewtonSolution(
-        end.x, end.factor, last, end.iterations, end.linear, end.factors, end.converged, end.indefinite
-    )
+        end.x, end.factor, last, end.iterations, end.linear, end.factors, end.converged & ~restores,
+        end.indefinite, restores,
+    )  # fmt: skip
+
+
+def must_restore(kept: Linearization, held: Array) -> Array:
+    """Whether the factor of the last tangent is wanted but not `held`."""
+    return (kept.age < NEVER) & ~held
 
 
 def _usable(step: ImplicitStep, kept: Linearization) -> Array:

@@ -57,13 +57,13 @@ class BDFPair(AbstractImplicit):
         return Attempt(
             x, v, p, (v - state.v) / h, error, cause, order, next_h, history.order, second.factor, state.kept,
             solution.iterations + second.iterations, solution.linear + second.linear,
-            solution.factors + second.factors,
+            solution.factors + second.factors, solution.restored,
         )  # fmt: skip
 
     def _newton(self, scene: Scene, step: ImplicitStep, guess: Array, factor: Factor) -> NewtonSolution:
         tolerance = self.newton_share * LOCAL_SHARE * self.rtol * scene.length_scale
-        no = jnp.asarray(False)
-        return newton(scene, step, guess, self.linear, factor, tolerance, self.max_iterations, None, no)
+        yes = jnp.asarray(True)
+        return newton(scene, step, guess, self.linear, factor, tolerance, self.max_iterations, None, yes)
 
     def _first_error(self, scene: Scene, state: State, step: ImplicitStep, x, h, factor: Factor) -> Array:
         """Distance from an explicit Euler step, less what decays within the step (the tangent knows)."""

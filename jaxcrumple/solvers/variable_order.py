@@ -86,7 +86,7 @@ class VariableOrder(AbstractImplicit):
         return Attempt(
             x, v, p, acceleration, errors[1], cause, order, next_h, next_order,
             solution.factor, solution.kept or state.kept, solution.iterations, solution.linear,
-            solution.factors,
+            solution.factors, solution.restored,
         )  # fmt: skip
 
     def _formula(self, scene: Scene, state: State, h: Array) -> "_Formula":
