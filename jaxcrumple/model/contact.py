@@ -42,8 +42,6 @@ CORE = 1.05 * 2.0 / np.sqrt(3.0)
 WIDEST_CORE = 0.75
 # Room for motion that a bound of the stiffness leaves: distances are taken to be this much of what they are.
 CLOSER = 0.98
-# How far, in ranges, a node may move in a step, less the sheet's mean motion: lists for more hold too much.
-STRIDE = 1.0
 # Share of the lowest triangle's height that separates triangles without a common node in a flat sheet.
 CALM = 0.8
 # The same in ranges, where the range is too wide for that.
@@ -106,8 +104,7 @@ class Contact(eqx.Module):
     - `faces` (f, 3); `rest` (n, 3) m: rest positions, which decide who never interacts.
     - `weights` (s, 3), `share` (s,): `Sites`; `density` (f,): area of a triangle over $a_0$.
     - `stiffness` $k_s$ in N/m, `range` $\\sigma$ in m, `core` m or None.
-    - `stride` m: how far a node may move in a step, less the sheet's mean motion; `calm` m: reach of lists in
-      which neighbours in a flat sheet do not appear.
+    - `calm` m: reach of lists in which neighbours in a flat sheet do not appear.
     - `fans`: triangles that share a node, and the hinges between them.
     - `candidates`, `near`: who may meet; see `jaxcrumple.model.near`.
     """
@@ -120,7 +117,6 @@ class Contact(eqx.Module):
     stiffness: Array = eqx.field(converter=as_float)
     range: Array = eqx.field(converter=as_float)
     core: Array | None
-    stride: Array = eqx.field(converter=as_float)
     calm: Array = eqx.field(converter=as_float)
     fans: Fans
     candidates: Candidates
@@ -304,7 +300,6 @@ def build_contact(mesh: Mesh, constants: ModelConstants, options: SelfContact) -
         stiffness=as_float(np.mean(constants.ks)),
         range=as_float(sigma),
         core=as_float(core) if barrier else None,
-        stride=as_float(STRIDE * sigma),
         calm=as_float(max(0.5 * (CALM * mesh.hinge_height.min() - sigma), LEAST * sigma)),
         fans=fans,
         candidates=no_candidates(mesh.n_nodes, len(fans.triangles)),

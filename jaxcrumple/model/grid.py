@@ -102,8 +102,9 @@ def _apart(contact: Contact, around: Around, room: int) -> tuple[Array, Array]:
         return one.astype(jnp.int64) * n_faces + two
 
     found, count = compacted(meets, grid.pairs, 1, room, ROUGH, both)
-    pairs = jnp.sort(grid.order[jnp.stack([found // n_faces, found % n_faces], axis=1)], axis=1)
-    return pair_key(pairs, n_faces), count
+    first, second = grid.order[found // n_faces], grid.order[found % n_faces]
+    ordered = jnp.stack([jnp.minimum(first, second), jnp.maximum(first, second)], axis=1)
+    return pair_key(ordered, n_faces), count
 
 
 def _those(asked: Array, test: Callable[[Array], Array], block: int) -> Array:

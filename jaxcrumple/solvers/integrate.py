@@ -129,7 +129,7 @@ def _limit_is_due(carry: _Carry) -> Array:
 
 def _restores(carry: _Carry) -> Array:
     """Whether the next attempt only makes the last step's factor again."""
-    return must_restore(carry.state.kept, carry.held)
+    return jnp.asarray(False) if carry.factor is None else must_restore(carry.state.kept, carry.held)
 
 
 def _is_sound(scene: Scene, state: State) -> Array:
@@ -193,7 +193,7 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
     wanted = jnp.where(aligning, jnp.minimum(wanted, state.limit), wanted)
     if scene.contact is not None:
         ahead = solver.implicit.predict(scene, state, wanted)
-        wanted = wanted * largest_move(scene, state.x, ahead, state.history.count > 1)
+        wanted = wanted * largest_move(scene, carry.lists, state.x, ahead, state.history.count > 1)
     h, lands = _clip_step(state.t, wanted, t_stop)
     if scene.contact is None:
         return _implicit_attempt(scene, carry, t_stop, solver, wanted, h, lands)
@@ -315,11 +315,11 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop, solver: Integrator, stag
     started = state.h_explicit > 0
     wanted = jnp.minimum(jnp.where(started, jnp.minimum(state.h_explicit, cap), cap), solver.max_step)
     if scene.contact is not None:
-        wanted = wanted * largest_move(scene, state.x, state.x + wanted * state.v)
+        wanted = wanted * largest_move(scene, carry.lists, state.x, state.x + wanted * state.v)
     if scene.contact is None:
         return _explicit_attempt(scene, carry, t_stop, solver, wanted, stages, fresh)
     ahead = state.x + LOOK_AHEAD * wanted * state.v
-    ahead = state.x + largest_move(scene, state.x, ahead) * (ahead - state.x)
+    ahead = state.x + largest_move(scene, carry.lists, state.x, ahead) * (ahead - state.x)
 
     state, lists, ready = ready_for(scene, state, carry.lists, ahead)
 

@@ -18,16 +18,17 @@ from jaxcrumple.system import NEVER, Listing, State
 
 # Share of what a list allows for that a predicted step may use.
 USED = 0.9
-# Share of the largest move that a step without any before it may make.
-UNKNOWN = 0.25
+# How far, in ranges, a node may move in a step, less the sheet's mean motion: as long as something is near;
+# where nothing is; and in a step without any before it.
+STRIDE, FREE_STRIDE, UNKNOWN = 1.0, 3.0, 0.25
 # A list of sites is made for SEVERAL steps as long as they go no further than WAY ranges, with some ROOM and
 # SLACK ranges; one that reaches LOOSE times further than steps now need is made anew.
 SEVERAL, WAY, ROOM, SLACK, LOOSE = 4.0, 0.25, 1.2, 0.05, 2.0
 # Reach of a list of candidates: ranges, and steps like the next one; of the latter FEWEST at least, and more
 # only up to FURTHEST ranges.
-REACH, STEPS, FEWEST, FURTHEST = 0.35, 16.0, 2.0, 1.0
-# The same of pairs that have a place in the matrix; beyond FEWEST steps only while a flat sheet has none.
-PLACED_REACH, PLACED_STEPS = 0.75, 32.0
+REACH, STEPS, FEWEST, FURTHEST = 0.35, 16.0, 4.0, 1.0
+# The same of pairs that have a place in the matrix; more only while a flat sheet has none.
+PLACED_REACH, PLACED_FEWEST, PLACED_STEPS = 0.75, 2.0, 32.0
 
 
 class Lists(NamedTuple):
@@ -93,11 +94,14 @@ def renewed(scene: Scene, state: State, lists: Lists | None) -> tuple[State, Lis
     return state, lists._replace(near=near, due=jnp.asarray(False))
 
 
-def largest_move(scene: Scene, x: Array, ahead: Array, known: Array | bool = True) -> Array:
+def largest_move(
+    scene: Scene, lists: Lists | None, x: Array, ahead: Array, known: Array | bool = True
+) -> Array:
     """Share of the way to `ahead` (n, 3) that one step may go, less where the way is not `known` from steps
     before: lists for more would hold too much."""
-    assert scene.contact is not None
-    most = jnp.where(known, 1.0, UNKNOWN) * scene.contact.stride
+    assert scene.contact is not None and lists is not None
+    stride = jnp.where(lists.near.pair_count > 0, STRIDE, FREE_STRIDE)
+    most = jnp.where(known, stride, UNKNOWN) * scene.contact.range
     return jnp.minimum(most / jnp.maximum(jnp.max(motion(x, ahead)), 1e-300), 1.0)
 
 
@@ -156,7 +160,7 @@ def _made(lists: Lists) -> Array:
 def _placed(contact: Contact, x: Array, moved: Array) -> Around:
     """Reach of pairs that get a place in the matrix at positions `x` (n, 3), before steps that move nodes by
     `moved` (n,)."""
-    floor = PLACED_REACH * contact.range + FEWEST * moved
+    floor = PLACED_REACH * contact.range + PLACED_FEWEST * moved
     reach = PLACED_REACH * contact.range + PLACED_STEPS * moved
     return Around(x, jnp.minimum(reach, jnp.maximum(contact.calm, floor)))
 
