@@ -17,9 +17,9 @@ from jaxcrumple.system import State, first_listing
 _find_near = eqx.filter_jit(find_near)
 # Reach in ranges of the first list of sites.
 FIRST = 0.25
-# First room of the lists: for each node, pairs of triangles that may meet, those near, sites there, and
-# pairs.
-ROOM_PER_NODE = (2.0, 1.0, 32.0, 128.0)
+# First room of the lists: for each node, pairs of triangles that may meet, those near or with a place in the
+# matrix, sites there, and pairs.
+ROOM_PER_NODE = (4.0, 1.0, 32.0, 128.0)
 # and those of the smallest sheets.
 SMALLEST_ROOM = 2000
 # A list that grows has room for so many times what it must hold: to compile again takes longer than many
@@ -40,7 +40,7 @@ class Renewal:
         self.merger = Merger(scene.pattern, np.asarray(contact.faces)) if merged else None
         rooms = [int(share * max(scene.n_nodes, SMALLEST_ROOM)) for share in ROOM_PER_NODE]
         self.candidates = max(rooms[0], contact.candidates.triangles.shape[0])
-        self.places = self.candidates
+        self.places = rooms[1]
         old = contact.near.room
         self.room = Room(*(max(new, before) for new, before in zip(rooms[1:], old, strict=True)))
 

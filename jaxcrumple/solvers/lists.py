@@ -26,7 +26,7 @@ STRIDE, FREE_STRIDE, UNKNOWN = 1.0, 3.0, 0.25
 SEVERAL, WAY, ROOM, SLACK, LOOSE = 4.0, 0.25, 1.2, 0.05, 2.0
 # Reach of a list of candidates: ranges, and steps like the next one; of the latter FEWEST at least, and more
 # only up to FURTHEST ranges.
-REACH, STEPS, FEWEST, FURTHEST = 0.35, 16.0, 4.0, 1.0
+REACH, STEPS, FEWEST, FURTHEST = 0.35, 16.0, 3.0, 2.0
 # The same of pairs that have a place in the matrix; more only while a flat sheet has none.
 PLACED_REACH, PLACED_FEWEST, PLACED_STEPS = 0.75, 2.0, 32.0
 
@@ -88,7 +88,7 @@ def renewed(scene: Scene, state: State, lists: Lists | None) -> tuple[State, Lis
     contact = listed(scene, lists).contact
     assert contact is not None and lists is not None
     near = jax.lax.cond(lists.due, lambda: find_near(contact, lists.close), lambda: lists.near)
-    needed = jnp.append(lists.candidates.count, near.needed)
+    needed = jnp.append(near.needed, lists.candidates.count)
     short = jnp.any(near.overflow) | (lists.candidates.count > lists.candidates.triangles.shape[0])
     state = eqx.tree_at(lambda s: s.listing.needed, state, jnp.where(short, needed, 0))
     return state, lists._replace(near=near, due=jnp.asarray(False))
