@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from folded import folded, strip
-from test_lists import pressed_layers
+from test_lists import moving_layers
 
 import jaxcrumple as jc
 from jaxcrumple.model.distance import primitive_distances
@@ -84,16 +84,8 @@ def test_too_little_room_is_told():
     assert int(candidates.count) > 100
 
 
-def moving_layers():
-    """Layers whose upper one flies away so fast that they need several searches."""
-    scene, state = pressed_layers()
-    upper = state.x[:, 2] > jnp.mean(state.x[:, 2])
-    velocity = jnp.where(upper[:, None], jnp.asarray([0.0, 0.0, 2.0]), 0.0)
-    return scene, jc.initial_state(scene, state.x, velocity)
-
-
 def test_when_lists_are_made_changes_no_bit(monkeypatch):
-    scene, state = moving_layers()
+    scene, state = moving_layers(2.0)
     solver = jc.integrator(1e-2, scheme="explicit")
     usual = jc.simulate(scene, state, 1.0, solver=solver, max_attempts=900).state
     assert not np.array_equal(usual.listing.candidates.x, state.listing.candidates.x)
@@ -111,7 +103,7 @@ def test_when_lists_are_made_changes_no_bit(monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["explicit", "hybrid"])
 def test_a_batch_does_what_its_members_do(scheme):
-    scene, state = moving_layers()
+    scene, state = moving_layers(2.0)
     scene = jc.with_contacts(scene, state.x)
     solver = jc.integrator(1e-2, scheme=scheme, linear="two-level")
     states = [jc.initial_state(scene, state.x, share * state.v) for share in (0.5, 1.0)]

@@ -4,12 +4,16 @@ import importlib
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from folded import folded, strip
 
 import jaxcrumple as jc
 from jaxcrumple.model.geometry import curvature
+from jaxcrumple.model.near import Room
+from jaxcrumple.renewal import Renewal, _with_candidates, _with_room
+from jaxcrumple.solvers.lists import renewed, start_lists
 from jaxcrumple.system import IMPLICIT
 
 SIGMA, COLUMNS = 0.5e-3, (5, 5)
@@ -24,6 +28,14 @@ def pressed_layers():
     scene = jc.sheet(mesh, material, contact=jc.SelfContact(range=SIGMA, level=3))
     creased = curvature(scene.bending.hinges(x).theta)
     return eqx.tree_at(lambda s: s.bending.rest_curvature, scene, creased), jc.initial_state(scene, x)
+
+
+def moving_layers(speed):
+    """The same, but its upper layer flies up at so many m/s that it needs several searches."""
+    scene, state = pressed_layers()
+    upper = state.x[:, 2] > jnp.mean(state.x[:, 2])
+    velocity = jnp.where(upper[:, None], jnp.asarray([0.0, 0.0, speed]), 0.0)
+    return scene, jc.initial_state(scene, state.x, velocity)
 
 
 def test_a_run_cut_anywhere_goes_on_to_the_same_bits(monkeypatch):
@@ -55,3 +67,28 @@ def test_lists_with_room_for_one_grow_and_change_no_bit(monkeypatch):
     narrow = jc.simulate(scene, state, 1.0, max_attempts=48).state
     np.testing.assert_array_equal(narrow.x, roomy.x)
     np.testing.assert_array_equal(narrow.v, roomy.v)
+
+
+@pytest.mark.parametrize("short", range(4))
+def test_a_list_that_is_too_short_is_the_one_that_grows(short):
+    """Pairs of triangles near, sites there, pairs of sites, and pairs of triangles that may meet."""
+    scene, state = pressed_layers()
+    renewal = Renewal(scene, merged=True)
+    scene, state = renewal.first(scene, state)
+    contact = scene.contact
+    assert contact is not None
+    sizes = [*contact.near.needed.tolist(), int(contact.candidates.count)]
+    assert min(sizes) > 8
+    renewal.candidates = sizes[3] - 1 if short == 3 else renewal.candidates
+    rooms = [size - 1 if place == short else size for place, size in enumerate(sizes)]
+    renewal.room = Room(*rooms[:3])
+    tight = _with_candidates(_with_room(scene, renewal.room), rooms[3])
+    # The first lists reach no further than those that were measured.
+    state = eqx.tree_at(lambda s: s.listing.near, state, contact.near.around)
+    state, lists = start_lists(tight, state)
+    state, _ = eqx.filter_jit(renewed)(tight, state, lists)
+    needed = np.asarray(state.listing.needed)
+    assert needed[short] > rooms[short]
+    grown = renewal.grown(tight, needed).contact
+    after = [*grown.near.room, grown.candidates.triangles.shape[0]]
+    assert after[short] >= sizes[short]
