@@ -40,9 +40,9 @@ class Renewal:
         self.merger = Merger(scene.pattern, np.asarray(contact.faces)) if merged else None
         rooms = [int(share * max(scene.n_nodes, SMALLEST_ROOM)) for share in ROOM_PER_NODE]
         self.candidates = max(rooms[0], contact.candidates.triangles.shape[0])
-        self.places = rooms[1]
         old = contact.near.room
         self.room = Room(*(max(new, before) for new, before in zip(rooms[1:], old, strict=True)))
+        self.places = 2 * self.room.triangles
 
     def __call__(self, scene: Scene, state: State) -> tuple[Scene, State]:
         """Scene and state for the next call of `integrate`, where the last one stopped for a list."""
@@ -102,8 +102,8 @@ class Renewal:
         if self.merger is None:
             return scene
         pairs, _ = self.search.find(np.asarray(around.x), np.asarray(around.reach), PLACED_TURN)
-        self.places = _doubled(self.places, len(pairs))
         merged = self.merger.merge(pairs, self.places)
+        self.places = merged.keys.shape[0]
         return eqx.tree_at(
             lambda s: s.pattern.contact.merged, scene, merged, is_leaf=lambda leaf: leaf is None
         )
@@ -133,8 +133,8 @@ def with_contacts(scene: Scene, x: ArrayLike) -> Scene:
 
     Energies, forces and tangents of a self-avoiding scene hold near the positions that its lists were made
     for, and are NaN elsewhere; `simulate` makes its own. `integrate`, also under `vmap`, makes new ones on
-    its way, unless the direct solver needs their structure from the host, and stops where they grow longer
-    than these: `state.listing.needed`. A scene without contact is returned as it is.
+    its way, and stops where they grow longer than these (`state.listing.needed`) or where a direct solver's
+    matrix lacks a place (`state.listing.stale`). A scene without contact is returned as it is.
     """
     contact = scene.contact
     if contact is None:

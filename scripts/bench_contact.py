@@ -14,39 +14,24 @@ from pathlib import Path
 import equinox as eqx
 import jax
 import numpy as np
-from benchlib import markdown, options, paired, save, timed_run
+from benchlib import markdown, options, paired, parts_of_a_step, recorded, save, timed_run
 from matplotlib.figure import Figure
 
-from jaxcrumple import initial_state, integrator, radial, simulate
+from jaxcrumple import SelfContact, integrator
+from jaxcrumple.model.grid import find_candidates
 from jaxcrumple.model.intersections import intersections
+from jaxcrumple.model.near import find_near
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.renewal import Renewal, with_contacts
-from jaxcrumple.solvers.implicit import judge
-from jaxcrumple.solvers.newton import NewtonSolution
-from jaxcrumple.system import State, energies, linearize, residual
+from jaxcrumple.system import State
 from jaxcrumple.threads import limited_blas
 
 # Times of the states in s: R = 7.1 cm - 1 cm/s t.
 TIMES = (0.05, 0.8, 1.6, 2.4, 3.1, 3.7)
 # Attempts of a window.
 STEPS = 64
-PARTS = ("forces", "tangents", "linear systems", "checks and energies", "contact")
-
-
-def recorded(nodes: int, t: float, folder: Path) -> tuple[Scene, State]:
-    """The self-avoiding scene and its state at `t` s, run or read."""
-    setup = radial(nodes)
-    state = initial_state(setup.scene, setup.x)
-    folder.mkdir(parents=True, exist_ok=True)
-    for stop in (time for time in TIMES if time <= t):
-        path = folder / f"radial_contact_{nodes}_{stop:g}.eqx"
-        if path.exists():
-            state = eqx.tree_deserialise_leaves(path, state)
-            continue
-        # Implicit throughout, so that a window measures implicit steps.
-        state = simulate(setup.scene, state, stop, solver=integrator(scheme="dynamic"), throw=True).state
-        eqx.tree_serialise_leaves(path, state)
-    return setup.scene, state
+PARTS = ("forces", "tangents", "linear systems", "energies", "contact")
+LISTS = ("search", "sites", "places")
 
 
 def phantom(scene: Scene) -> Scene:
@@ -58,36 +43,6 @@ def phantom(scene: Scene) -> Scene:
 def without_listing(state: State) -> State:
     """The state as one of a scene without contact."""
     return eqx.tree_at(lambda s: s.listing, state, None)
-
-
-def own_parts(scene: Scene, state: State) -> dict[str, float]:
-    """Seconds of the parts of a step of the sheet without contact, each alone."""
-    scene = phantom(scene)
-    implicit = integrator(scheme="dynamic").implicit
-    linear = implicit.linear
-    step, x = eqx.filter_jit(implicit.equations)(scene, state, state.h)
-    value, values = eqx.filter_jit(linearize)(scene, step, x)
-    start = eqx.filter_jit(linear.start)(scene.pattern)
-    fresh = iter(range(1, 10**6))
-    factor = eqx.filter_jit(lambda values: linear.factor(scene.pattern, values, start))
-    made = factor(values)
-    solve = eqx.filter_jit(lambda rhs: linear.solve(scene.pattern, made, made.values, rhs, 1e-3).x)
-    tangent = eqx.filter_jit(lambda x: linearize(scene, step, x)[1])
-    plain = eqx.filter_jit(lambda x: residual(scene, step, x))
-
-    @eqx.filter_jit
-    def check(x):
-        end = NewtonSolution(x, made, None, *[jax.numpy.asarray(0)] * 3, *[jax.numpy.asarray(True)] * 2)
-        return judge(scene, state, end, x, state.t, state.h), energies(scene, x, state.v, state.p, state.t)
-
-    calls = {
-        "residual": lambda: plain(x),
-        "tangent": lambda: tangent(x),
-        "factor": lambda: factor(values * (1.0 + 1e-12 * next(fresh))),
-        "solve": lambda: solve(-value.reshape(-1)),
-        "check": lambda: check(x),
-    }
-    return {name: timing.seconds for name, timing in paired(calls, 10).items()}
 
 
 def window(scene: Scene, state: State) -> dict[str, float]:
@@ -109,20 +64,27 @@ def start_cost(scene: Scene, state: State) -> float:
 
 def components(scene: Scene, state: State) -> dict[str, float]:
     """CPU seconds of an attempt by component, and their sum."""
-    per, own = window(scene, state), own_parts(scene, state)
+    per, own = window(scene, state), parts_of_a_step(phantom(scene), without_listing(state))
     found = {
         "forces": own["residual"] * (per["newton"] + 1.0),
         "tangents": own["tangent"] * per["factors"],
         "linear systems": own["factor"] * per["factors"] + own["solve"] * per["newton"],
-        "checks and energies": own["check"],
+        "energies": own["energies"],
     }
     return found | {"contact": per["cpu"] - sum(found.values()), "all": per["cpu"]}
 
 
-def search_cost(scene: Scene, state: State) -> float:
-    """Seconds of a search on the host, and the structure of the matrix that goes with it."""
-    renewal = Renewal(scene, merged=True)
-    return paired({"search": lambda: renewal.searched(scene, state.listing)}, 5)["search"].seconds
+def list_costs(scene: Scene, state: State) -> dict[str, float]:
+    """Seconds of a search for candidates, of a list of sites, and of giving pairs a place in the matrix."""
+    contact, listing, renewal = scene.contact, state.listing, Renewal(scene, merged=True)
+    theta = scene.bending.hinges(listing.candidates.x).theta
+    search, sites = eqx.filter_jit(find_candidates), eqx.filter_jit(find_near)
+    calls = {
+        "search": lambda: search(contact, theta, listing.candidates),
+        "sites": lambda: sites(contact, listing.near),
+        "places": lambda: renewal.placed(scene, listing.matrix).pattern.contact.merged,
+    }
+    return {name: timing.seconds for name, timing in paired(calls, 10).items()}
 
 
 def apart_cost(scene: Scene, state: State) -> float:
@@ -135,17 +97,17 @@ def measure(nodes: int, folder: Path) -> dict:
     rows = []
     with limited_blas():
         for t in TIMES:
-            scene, state = recorded(nodes, t, folder)
-            near = with_contacts(scene, state.x).contact
-            gap, contacts = near.gaps(state.x)
+            scene, state = recorded(nodes, t, folder, SelfContact(), TIMES)
+            listed = with_contacts(scene, state.x)
+            gap, contacts = listed.contact.gaps(state.x)
             row = {"t": t, "R_cm": 7.1 - t, "contacts": int(contacts), "gap_um": 1e6 * float(gap)}
             row |= components(scene, state)
-            row["search"] = search_cost(scene, state)
+            row |= list_costs(listed, state)
             if len(intersections(state.x, scene.contact.faces, scene.membrane.nodes)):
                 raise RuntimeError(f"the sheet of {nodes} nodes intersects itself at {t} s")
             rows.append(row)
             print(nodes, row, flush=True)
-        scene, state = recorded(nodes, TIMES[0], folder)
+        scene, state = recorded(nodes, TIMES[0], folder, SelfContact(), TIMES)
         apart = apart_cost(scene, state)
     jax.clear_caches()
     return {"nodes": nodes, "rows": rows, "apart": apart}
@@ -153,12 +115,13 @@ def measure(nodes: int, folder: Path) -> dict:
 
 def table(results: list[dict]) -> str:
     """Components and shares."""
-    header = ["n", "R cm", "contacts", *(f"{part} ms" for part in PARTS), "all ms", "contact %", "search ms"]
+    header = ["n", "R cm", "contacts", *(f"{part} ms" for part in PARTS), "all ms", "contact %"]
+    header += [f"{name} ms" for name in LISTS]
     lines = [
         [
             result["nodes"], f"{row['R_cm']:.2f}", row["contacts"],
             *(f"{1e3 * row[part]:.1f}" for part in (*PARTS, "all")),
-            f"{100 * row['contact'] / row['all']:.0f}", f"{1e3 * row['search']:.0f}",
+            f"{100 * row['contact'] / row['all']:.0f}", *(f"{1e3 * row[name]:.0f}" for name in LISTS),
         ]
         for result in results
         for row in result["rows"]

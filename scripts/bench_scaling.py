@@ -26,6 +26,7 @@ from benchlib import (
     next_equations,
     options,
     paired,
+    parts_of_a_step,
     recorded,
     save,
     timed_run,
@@ -34,7 +35,7 @@ from matplotlib.figure import Figure
 
 from jaxcrumple import integrator
 from jaxcrumple.model.scene import Scene
-from jaxcrumple.system import State, energies, linearize, residual
+from jaxcrumple.system import State, linearize, residual
 from jaxcrumple.threads import limited_blas
 
 STEPS = 50
@@ -57,39 +58,6 @@ def steps_from(nodes: int, folder) -> dict[str, dict[str, float]]:
         cost = {"wall_s": timed.wall_s / steps, "cpu_s": timed.cpu_s / steps, "newton": newton / steps}
         found[f"{name}, {scheme}"] = cost
     return found
-
-
-def components(nodes: int, folder) -> dict[str, float]:
-    """Seconds of the parts of a step, on the crumpled state."""
-    scene, state = recorded(nodes, STATES["crumpled"], folder)
-    step, x = next_equations(scene, state)
-    linear = integrator().implicit.linear
-    value, values = eqx.filter_jit(linearize)(scene, step, x)
-    start = eqx.filter_jit(linear.start)(scene.pattern)
-    fresh = iter(range(1, 10**6))
-
-    @eqx.filter_jit
-    def factor(values):
-        return linear.factor(scene.pattern, values, start)
-
-    made = factor(values)
-
-    @eqx.filter_jit
-    def solve(rhs):
-        return linear.solve(scene.pattern, made, values, rhs, 1e-3).x
-
-    tangent, plain, parts = (eqx.filter_jit(f) for f in (linearize, residual, energies))
-    timings = paired(
-        {
-            "tangent": lambda: tangent(scene, step, x),
-            "factor": lambda: factor(values * (1.0 + 1e-12 * next(fresh))),
-            "solve": lambda: solve(-value.reshape(-1)),
-            "residual": lambda: plain(scene, step, x),
-            "energies": lambda: parts(scene, state.x, state.v, state.p, state.t),
-        },
-        10,
-    )
-    return {name: timing.seconds for name, timing in timings.items()}
 
 
 def option_costs(nodes: int, folder) -> dict[str, float]:
@@ -172,7 +140,7 @@ def measure(nodes: int, folder) -> dict:
         recorded(nodes, t, folder)
     result = {"nodes": nodes, "threads": {cores: confined(nodes, folder, cores) for cores in (1, 2)}}
     with limited_blas():
-        result["components"] = components(nodes, folder)
+        result["components"] = parts_of_a_step(*recorded(nodes, STATES["crumpled"], folder))
         result["options"] = option_costs(nodes, folder)
     with tempfile.TemporaryDirectory() as cache:
         result["cold_s"], result["warm_s"] = start_up(nodes, cache), start_up(nodes, cache)

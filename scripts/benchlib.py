@@ -22,10 +22,18 @@ from scipy.interpolate import CloughTocher2DInterpolator
 
 jax.config.update("jax_enable_x64", True)
 
-from jaxcrumple import Integrator, Solution, initial_state, integrator, radial, simulate  # noqa: E402
+from jaxcrumple import (  # noqa: E402
+    Integrator,
+    SelfContact,
+    Solution,
+    initial_state,
+    integrator,
+    radial,
+    simulate,
+)
 from jaxcrumple.model.geometry import curvature  # noqa: E402
 from jaxcrumple.model.scene import Scene  # noqa: E402
-from jaxcrumple.system import ImplicitStep, State  # noqa: E402
+from jaxcrumple.system import ImplicitStep, State, energies, linearize, residual  # noqa: E402
 
 RESULTS = Path(__file__).parent / "results"
 # Moments of `radial`: before the first buckling, once buckled, and crumpled (R = 7.05, 6.3 and 4.5 cm).
@@ -136,23 +144,29 @@ class Recorded(NamedTuple):
     state: State
 
 
-def recorded(nodes: int, t: float, folder: Path) -> Recorded:
+def recorded(
+    nodes: int, t: float, folder: Path, contact: SelfContact | None = None, times: Sequence[float] = ()
+) -> Recorded:
     """State of `radial` at time `t` s, run with implicit steps at the default tolerance, or read if it was.
 
-    `dynamic`, because `hybrid` may be amid explicit steps then, and have no implicit step to take.
+    `dynamic`, because `hybrid` may be amid explicit steps then, and have no implicit step to take. The run
+    also records its states at other `times`, by default those of `STATES`.
     """
-    setup = radial(nodes, contact=None)
+    setup = radial(nodes, contact=contact)
+    kind = "radial" if contact is None else "radial_contact"
     state = initial_state(setup.scene, setup.x)
     folder.mkdir(parents=True, exist_ok=True)
-    earlier = sorted(u for u in STATES.values() if u <= t)
+    earlier = sorted(u for u in times or STATES.values() if u <= t)
     for stop in earlier if t in earlier else [*earlier, t]:
-        path = folder / f"radial_{nodes}_{stop:g}.eqx"
+        path = folder / f"{kind}_{nodes}_{stop:g}.eqx"
         if path.exists():
             state = eqx.tree_deserialise_leaves(path, state)
             continue
-        if nodes > LARGEST_RUN:
+        if nodes > LARGEST_RUN and contact is None:
             state = refined(nodes, stop, folder)
-        end = stop if nodes <= LARGEST_RUN else stop + SETTLE
+            end = stop + SETTLE
+        else:
+            end = stop
         state = simulate(setup.scene, state, end, solver=integrator(scheme="dynamic"), throw=True).state
         eqx.tree_serialise_leaves(path, state)
     return Recorded(setup.scene, state)
@@ -221,3 +235,32 @@ def paired(functions: dict[str, Callable[[], Any]], repeats: int) -> dict[str, T
             seconds = time.perf_counter() - start
             timings[name] = Timing(min(timings[name].seconds, seconds), output)
     return timings
+
+
+def parts_of_a_step(scene: Scene, state: State) -> dict[str, float]:
+    """Seconds that the parts of an implicit step of a phantom sheet take, each alone."""
+    step, x = next_equations(scene, state)
+    linear = integrator().implicit.linear
+    value, values = eqx.filter_jit(linearize)(scene, step, x)
+    start = eqx.filter_jit(linear.start)(scene.pattern)
+    fresh = iter(range(1, 10**6))
+
+    @eqx.filter_jit
+    def factor(values):
+        return linear.factor(scene.pattern, values, start)
+
+    made = factor(values)
+
+    @eqx.filter_jit
+    def solve(rhs):
+        return linear.solve(scene.pattern, made, made.values, rhs, 1e-3).x
+
+    tangent, plain, parts = (eqx.filter_jit(f) for f in (linearize, residual, energies))
+    calls = {
+        "tangent": lambda: tangent(scene, step, x),
+        "factor": lambda: factor(values * (1.0 + 1e-12 * next(fresh))),
+        "solve": lambda: solve(-value.reshape(-1)),
+        "residual": lambda: plain(scene, step, x),
+        "energies": lambda: parts(scene, state.x, state.v, state.p, state.t),
+    }
+    return {name: timing.seconds for name, timing in paired(calls, 10).items()}

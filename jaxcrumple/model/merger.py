@@ -7,6 +7,9 @@ from jaxcrumple.model.cross import SIZE, Merged
 from jaxcrumple.model.near import NONE
 from jaxcrumple.model.pattern import Pattern, scalar_entries
 
+# Room for entries that a pair adds: its triangles have most of their blocks in common with other pairs.
+ENTRIES = 18
+
 
 class Merger:
     """Merges pairs of triangles into one sheet's pattern."""
@@ -23,8 +26,9 @@ class Merger:
         self.order = entries.reshape(-1)[self.upper]
 
     def merge(self, triangles: np.ndarray, capacity: int) -> Merged:
-        """Structure with room for `capacity` pairs, the first of which are `triangles` (c, 2), sorted."""
-        n, room = self.n, self.nnz + SIZE * capacity
+        """Structure with room for `capacity` pairs, the first of which are `triangles` (c, 2), sorted; or for
+        twice as many, or more, where these and the entries that they add need it."""
+        n = self.n
         nodes = self.faces[triangles]
         a, b = np.broadcast_arrays(nodes[:, 0, :, None], nodes[:, 1, None, :])
         wanted = np.minimum(a, b) * n + np.maximum(a, b)
@@ -32,6 +36,9 @@ class Merger:
         row, column = keys // n, keys % n
         entries, counts = scalar_entries(n, row, column)
         nnz = int(counts.sum())
+        while len(triangles) > capacity or nnz > self.nnz + ENTRIES * capacity:
+            capacity *= 2
+        room = self.nnz + ENTRIES * capacity
         entries[entries == nnz] = room
         place = np.empty(self.nnz, np.int32)
         place[self.order] = entries[np.searchsorted(keys, self.keys)].reshape(-1)[self.upper]
