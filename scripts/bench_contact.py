@@ -17,7 +17,7 @@ import numpy as np
 from benchlib import markdown, options, paired, parts_of_a_step, recorded, save, timed_run
 from matplotlib.figure import Figure
 
-from jaxcrumple import SelfContact, integrator
+from jaxcrumple import integrator
 from jaxcrumple.model.grid import find_candidates
 from jaxcrumple.model.intersections import intersections
 from jaxcrumple.model.near import find_near
@@ -97,7 +97,7 @@ def measure(nodes: int, folder: Path) -> dict:
     rows = []
     with limited_blas():
         for t in TIMES:
-            scene, state = recorded(nodes, t, folder, SelfContact(), TIMES)
+            scene, state = recorded(nodes, t, folder, "penalty", TIMES)
             listed = with_contacts(scene, state.x)
             gap, contacts = listed.contact.gaps(state.x)
             row = {"t": t, "R_cm": 7.1 - t, "contacts": int(contacts), "gap_um": 1e6 * float(gap)}
@@ -107,7 +107,7 @@ def measure(nodes: int, folder: Path) -> dict:
                 raise RuntimeError(f"the sheet of {nodes} nodes intersects itself at {t} s")
             rows.append(row)
             print(nodes, row, flush=True)
-        scene, state = recorded(nodes, TIMES[0], folder, SelfContact(), TIMES)
+        scene, state = recorded(nodes, TIMES[0], folder, "penalty", TIMES)
         apart = apart_cost(scene, state)
     jax.clear_caches()
     return {"nodes": nodes, "rows": rows, "apart": apart}

@@ -24,7 +24,6 @@ jax.config.update("jax_enable_x64", True)
 
 from jaxcrumple import (  # noqa: E402
     Integrator,
-    SelfContact,
     Solution,
     initial_state,
     integrator,
@@ -145,7 +144,7 @@ class Recorded(NamedTuple):
 
 
 def recorded(
-    nodes: int, t: float, folder: Path, contact: SelfContact | None = None, times: Sequence[float] = ()
+    nodes: int, t: float, folder: Path, contact: str | None = None, times: Sequence[float] = ()
 ) -> Recorded:
     """State of `radial` at time `t` s, run with implicit steps at the default tolerance, or read if it was.
 
