@@ -22,14 +22,7 @@ from scipy.interpolate import CloughTocher2DInterpolator
 
 jax.config.update("jax_enable_x64", True)
 
-from jaxcrumple import (  # noqa: E402
-    Integrator,
-    Solution,
-    initial_state,
-    integrator,
-    radial,
-    simulate,
-)
+from jaxcrumple import Integrator, Solution, initial_state, integrator, radial, simulate  # noqa: E402
 from jaxcrumple.model.geometry import curvature  # noqa: E402
 from jaxcrumple.model.scene import Scene  # noqa: E402
 from jaxcrumple.system import ImplicitStep, State, energies, linearize, residual  # noqa: E402

@@ -44,7 +44,7 @@ WIDEST_CORE = 0.75
 CLOSER = 0.98
 # Share of the lowest triangle's height that separates triangles without a common node in a flat sheet.
 CALM = 0.8
-# The same in ranges, where the range is too wide for that.
+# The reach that this allows in ranges, at least.
 LEAST = 0.25
 # Pairs of sites that are looked at together: those in the list, and those that interact.
 LISTED, ACTIVE = 1024, 256

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxcrumple.model.cross import SIZE, Merged
-from jaxcrumple.model.near import NONE
+from jaxcrumple.model.near import NONE, pair_key
 from jaxcrumple.model.pattern import Pattern, scalar_entries
 
 # Room for entries that a pair adds: its triangles have most of their blocks in common with other pairs.
@@ -50,6 +50,6 @@ class Merger:
         cross[: len(nodes)] = found.reshape(-1, SIZE)
         indptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
         pairs = np.full(capacity, NONE)
-        pairs[: len(triangles)] = triangles[:, 0] * np.int64(len(self.faces)) + triangles[:, 1]
+        pairs[: len(triangles)] = pair_key(jnp.asarray(triangles), len(self.faces))
         arrays = (indptr, indices[:-1], place, pairs, cross)
         return Merged(*map(jnp.asarray, arrays))
