@@ -100,7 +100,8 @@ def newton(
         taken = Linearization(step, carry.x, jnp.zeros_like(old.age))
         kept = select(carry.renew, taken, carry.kept)
         solution = linear.solve(scene.pattern, factor, values, -value.reshape(-1), FORCING)
-        update = jnp.max(jnp.abs(solution.x))
+        change = _relaxation(step, kept) * solution.x.reshape(carry.x.shape)
+        update = jnp.max(jnp.abs(change))
         first = jnp.isinf(carry.update)
         contraction = jnp.where(first, 1.0, update / carry.update)
         remaining = jnp.where(contraction < 1, contraction / (1 - contraction) * update, jnp.inf)
@@ -110,7 +111,7 @@ def newton(
         # With the tangent of an earlier step that says nothing yet: start again with this step's own.
         again = lost & (kept.age > 0)
         return _Carry(
-            jnp.where(again, guess, carry.x + solution.x.reshape(carry.x.shape)),
+            jnp.where(again, guess, carry.x + change),
             factor,
             kept,
             carry.iterations + 1,
@@ -153,3 +154,10 @@ def _usable(step: ImplicitStep, kept: Linearization) -> Array:
     ratio = step.beta_h / kept.step.beta_h
     alike = (ratio > RATIO) & (ratio * RATIO < 1.0)
     return alike & (kept.age < MOST_STEPS) & (step.inertia * kept.step.inertia > 0)
+
+
+def _relaxation(step: ImplicitStep, kept: Linearization) -> Array:
+    """Factor of a change found with the tangent of another step, whose inertia has another weight: the
+    one that leaves least of both what inertia and what stiffness dominates."""
+    weight = (kept.step.beta_h / step.beta_h) ** 2
+    return 2.0 / (1.0 + weight)

@@ -71,7 +71,7 @@ class VariableOrder(AbstractImplicit):
         theta, step, order = formula.theta, formula.step, formula.orders.used
         predicted = _predicted(scene, state, h, order)
         guess = _start(formula, state, predicted)
-        tolerance = self.newton_share * LOCAL_SHARE * self.rtol * scene.length_scale
+        tolerance = self.newton_share * self._allowed(scene, state, h) * scene.length_scale
         kept = state.kept if self.inertia else None
         solution = newton(scene, step, guess, self.linear, factor, tolerance, self.max_iterations, kept, held)
         mean_v = step.velocity(solution.x)
@@ -159,8 +159,7 @@ class VariableOrder(AbstractImplicit):
         # A start compares with an Euler step, whose error is the formula's reversed; the step that
         # aligns the velocity has nothing to compare with, and may move by the whole tolerance.
         share = jnp.where(starts, 0.5, formula.share)
-        part = jnp.where(state.stage == IMPLICIT, self.inertial_share * _remembered(scene, h), LOCAL_SHARE)
-        allowed = jnp.where(aligns(state), 1.0, part) * self.rtol
+        allowed = jnp.where(aligns(state), self.rtol, self._allowed(scene, state, h))
         errors = [jnp.asarray(jnp.inf), share * here / allowed, jnp.asarray(jnp.inf)]
         for place, other in ((0, order - 1), (2, order + 1)):
             known = (other >= orders.lowest) & (other < history.count) & (other <= orders.highest)
@@ -171,6 +170,11 @@ class VariableOrder(AbstractImplicit):
             size = error_constant(h, history.steps, used) * size
             errors[place] = jnp.where(known, size / allowed, jnp.inf)
         return jnp.stack(errors)
+
+    def _allowed(self, scene: Scene, state: State, h: Array) -> Array:
+        """Local error, relative to the scales, that a step of `h` s may leave."""
+        share = self.inertial_share * _remembered(scene, h)
+        return self.rtol * jnp.where(state.stage == IMPLICIT, share, LOCAL_SHARE)
 
     def _next(self, h, order, errors, cause) -> tuple[Array, Array]:
         """Step and order to take next: those that promise the longest step."""
