@@ -6,11 +6,12 @@ sqrt(A), or than twice what the errors that its steps may leave grow to: all nod
 and noise, by the error that one step may leave, 40 times on the way, and what becomes of that is multiplied
 by the run's steps over these shifts. A sheet that buckles from less falls to either side or at another
 moment, and no tolerance tells to which or when. A run that had to be killed, one whose process failed, a
-number that is not finite, and a node behind the wall count as failures too.
+number that is not finite, a node behind the wall, and, with contact, a frame that passes through itself
+count as failures too.
 
 Results are kept line by line; the same command goes on where it was stopped.
 
-    python scripts/stability.py [--runs N] [--seconds S] [--workers W]
+    python scripts/stability.py [--contact] [--runs N] [--seconds S] [--workers W]
 """
 
 import argparse
@@ -32,6 +33,7 @@ from scipy.stats import qmc
 
 from jaxcrumple import Solution, initial_state, simulate
 from jaxcrumple.config import RunConfig, configure
+from jaxcrumple.model.intersections import intersections
 from jaxcrumple.scenes import Setup
 from jaxcrumple.scenes.radial import smooth_imperfection
 from jaxcrumple.simulate import explain
@@ -63,17 +65,19 @@ DECADES = {
 }
 # Above this surface strain at yield the sheet is elastic.
 ELASTIC = 1.0
-FAILURES = ("hangs", "crashes", "not finite", "behind the wall", "broken tolerance")
+FAILURES = ("hangs", "crashes", "not finite", "behind the wall", "intersections", "broken tolerance")
 
 
-def sample(runs: int, seed: int = 0, largest: int = max(NODES)) -> list[RunConfig]:
+def sample(
+    runs: int, seed: int = 0, largest: int = max(NODES), contact: str | None = None
+) -> list[RunConfig]:
     """Configurations of a Latin hypercube with at most `largest` nodes."""
     cube = qmc.LatinHypercube(d=len(DECADES) + 2, seed=seed).random(runs)
     ladder = [n for n in NODES if n <= largest]
-    return [_config(point, number, ladder) for number, point in enumerate(cube)]
+    return [_config(point, number, ladder, contact) for number, point in enumerate(cube)]
 
 
-def _config(point: np.ndarray, number: int, ladder: list[int]) -> RunConfig:
+def _config(point: np.ndarray, number: int, ladder: list[int], contact: str | None) -> RunConfig:
     exponents = (low + u * (high - low) for u, (low, high) in zip(point, DECADES.values(), strict=False))
     value = {name: float(f"{10**e:.3g}") for name, e in zip(DECADES, exponents, strict=True)}
     thickness = value["slenderness"] * SIZE
@@ -90,7 +94,7 @@ def _config(point: np.ndarray, number: int, ladder: list[int]) -> RunConfig:
         "internal_damping_time": value["internal_damping_time"],
         "sweeps": SWEEPS[int(point[-1] * len(SWEEPS))],
         "frames": FRAMES,
-        "contact": None,
+        "contact": contact,
     }
     nodes = ladder[int(point[-2] * len(ladder))]
     t_end = (START - END) / value["speed"]
@@ -109,6 +113,8 @@ def judged(config: RunConfig, seconds: float) -> dict:
     behind, radius = _behind(setup, solution), _radius(setup, solution)
     if np.any(behind > 0):
         failures.append("behind the wall")
+    if setup.scene.contact is not None and _intersections(setup, solution):
+        failures.append("intersections")
     error = shifted = np.full(1, np.nan)
     if solution.result == "success":
         times = solution.t[:COMPARED]
@@ -157,6 +163,12 @@ def _behind(setup: Setup, solution: Solution) -> np.ndarray:
     wall = setup.scene.walls[0]
     positions, times = [*solution.x, solution.state.x], [*solution.t, solution.state.t]
     return np.array([-np.min(wall.gap(x, t)) for x, t in zip(positions, times, strict=True)])
+
+
+def _intersections(setup: Setup, solution: Solution) -> int:
+    """How often edges pass through triangles, at each frame and at the end together."""
+    mesh = setup.mesh
+    return sum(len(intersections(x, mesh.faces, mesh.edges)) for x in (*solution.x, solution.state.x))
 
 
 def _distance(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -311,8 +323,9 @@ def main() -> None:
     )
     parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("--seconds", type=float, default=60.0, help="budget of each run")
+    parser.add_argument("--contact", action="store_true", help="self-avoiding sheets")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
-    parser.add_argument("--log", type=Path, default=Path("runs/stability.jsonl"))
+    parser.add_argument("--log", type=Path, help="file of results (default: runs/STUDY.jsonl)")
     parser.add_argument("--json", type=Path, help="write the figures by name to this file")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of table and plot")
     parser.add_argument("--one", help=argparse.SUPPRESS)
@@ -321,9 +334,11 @@ def main() -> None:
         jax.config.update("jax_compilation_cache_dir", str(Path("runs/cache").absolute()))
         print(json.dumps(judged(RunConfig.model_validate_json(opts.one), opts.seconds)))
         return
-    found = study(sample(opts.runs), opts.seconds, opts.workers, opts.log)
+    name, contact = ("stability_contact", "penalty") if opts.contact else ("stability", None)
+    log = opts.log or Path(f"runs/{name}.jsonl")
+    found = study(sample(opts.runs, contact=contact), opts.seconds, opts.workers, log)
     figures = {"failures": float(sum(bool(row["failures"]) for row in found))}
-    save(opts, "stability", table(found, opts.seconds), draw(found), figures, found)
+    save(opts, name, table(found, opts.seconds), draw(found), figures, found)
 
 
 if __name__ == "__main__":

@@ -42,9 +42,9 @@ class Around(eqx.Module):
         """Whether the other one is the same."""
         return jnp.all(self.x == other.x) & jnp.all(self.reach == other.reach)
 
-    def covers(self, x: Array, share: float = 1.0) -> Array:
-        """Whether no node of `x` (n, 3) is further away than this share of its reach."""
-        return jnp.all(motion(self.x, x) <= share * self.reach)
+    def covers(self, x: Array, spare: Array | float = 0.0) -> Array:
+        """Whether each node of `x` (n, 3) may go `spare` m further before it leaves its reach."""
+        return jnp.all(motion(self.x, x) + spare <= self.reach)
 
 
 class Candidates(eqx.Module):
@@ -91,9 +91,9 @@ class Near(eqx.Module):
         """The sizes of the list."""
         return Room(self.triangles.shape[0], self.found.shape[0], self.picked.shape[0])
 
-    def covers(self, x: Array, share: float = 1.0) -> Array:
-        """Whether no node is further away than this share of its reach, and all pairs fitted."""
-        return self.around.covers(x, share) & ~jnp.any(self.overflow)
+    def covers(self, x: Array, spare: Array | float = 0.0) -> Array:
+        """Whether each node may go `spare` m further before it leaves its reach, and all pairs fitted."""
+        return self.around.covers(x, spare) & ~jnp.any(self.overflow)
 
 
 class Room(NamedTuple):

@@ -67,6 +67,10 @@ class AbstractImplicit(eqx.Module):
         """Positions (n, 3) after a step of size `h` s as the history tells."""
 
     @abc.abstractmethod
+    def differs(self, scene: Scene, state: State, h: Array) -> Array:
+        """How far in m a node may be from `predict` after a step whose error is tolerated; 0: not known."""
+
+    @abc.abstractmethod
     def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array) -> Attempt:
         """Try a step of size `h` s in the state's stage; `held`: whether `factor` is of `state.kept`."""
 

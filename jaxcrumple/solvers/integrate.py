@@ -200,7 +200,8 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
     ahead = solver.implicit.predict(scene, state, h)
 
     restores = _restores(carry)
-    state, lists, ready = ready_for(scene, state, carry.lists, ahead)
+    differs = solver.implicit.differs(scene, state, h)
+    state, lists, ready = ready_for(scene, state, carry.lists, ahead, differs)
     to_restore, ready_then = ready_to_restore(scene, carry.state, carry.lists)
     state = select(restores, carry.state, state)
     lists, ready = select(restores, to_restore, lists), jnp.where(restores, ready_then, ready)

@@ -16,16 +16,16 @@ from jaxcrumple.model.near import Around, Candidates, Near, find_near, motion
 from jaxcrumple.model.scene import Scene, with_near
 from jaxcrumple.system import NEVER, Listing, State
 
-# Share of what a list allows for that a predicted step may use.
-USED = 0.9
 # How far, in ranges, a node may move in a step, less the sheet's mean motion: as long as something is near;
-# where nothing is; and in a step without any before it.
+# where nothing is, or the reach in which a flat sheet's neighbours do not appear if that is more; and in a
+# step without any before it.
 STRIDE, FREE_STRIDE, UNKNOWN = 1.0, 3.0, 0.25
-# A list of sites is made for SEVERAL steps as long as they go no further than WAY ranges, with some ROOM and
-# SLACK ranges; one that reaches LOOSE times further than steps now need is made anew.
-SEVERAL, WAY, ROOM, SLACK, LOOSE = 4.0, 0.25, 1.2, 0.05, 2.0
+# A list of sites is made for SEVERAL steps as long as they go no further than WAY ranges, with some ROOM; one
+# that reaches LOOSE times further than steps now need is made anew. All lists have to spare what a step may
+# differ from its prediction, between SLACK and MOST_SLACK ranges: more would hold flat neighbours.
+SEVERAL, WAY, ROOM, SLACK, MOST_SLACK, LOOSE = 4.0, 0.25, 1.2, 0.05, 0.25, 2.0
 # Reach of a list of candidates: ranges, and steps like the next one; of the latter FEWEST at least, and more
-# only up to FURTHEST ranges.
+# only up to FURTHEST ranges, or as far as a flat sheet's neighbours do not appear.
 REACH, STEPS, FEWEST, FURTHEST = 0.35, 16.0, 3.0, 2.0
 # The same of pairs that have a place in the matrix; more only while a flat sheet has none.
 PLACED_REACH, PLACED_FEWEST, PLACED_STEPS = 0.75, 2.0, 32.0
@@ -100,13 +100,18 @@ def largest_move(
     """Share of the way to `ahead` (n, 3) that one step may go, less where the way is not `known` from steps
     before: lists for more would hold too much."""
     assert scene.contact is not None and lists is not None
-    stride = jnp.where(lists.near.pair_count > 0, STRIDE, FREE_STRIDE)
-    most = jnp.where(known, stride, UNKNOWN) * scene.contact.range
+    sigma = scene.contact.range
+    free = jnp.maximum(FREE_STRIDE * sigma, scene.contact.calm)
+    stride = jnp.where(lists.near.pair_count > 0, STRIDE * sigma, free)
+    most = jnp.where(known, stride, UNKNOWN * sigma)
     return jnp.minimum(most / jnp.maximum(jnp.max(motion(x, ahead)), 1e-300), 1.0)
 
 
-def ready_for(scene: Scene, state: State, lists: Lists | None, ahead: Array) -> tuple[State, Lists, Array]:
-    """Whether the lists hold for a step from the state to `ahead` (n, 3); where not, what is due before.
+def ready_for(
+    scene: Scene, state: State, lists: Lists | None, ahead: Array, differs: Array | float = 0.0
+) -> tuple[State, Lists, Array]:
+    """Whether the lists hold for a step from the state to `ahead` (n, 3), or to what `differs` from that by
+    so many m; where not, what is due before.
 
     All follows from the state alone, also where pairs have no place in the matrix: the state then says so and
     waits for the host.
@@ -115,11 +120,12 @@ def ready_for(scene: Scene, state: State, lists: Lists | None, ahead: Array) -> 
     assert contact is not None and listing is not None and lists is not None
     lists = lists._replace(wide=listing.candidates, close=listing.near)
     moved = motion(state.x, ahead)
-    candidates, near = _wide(contact, state.x, moved), _close(contact, state.x, ahead, moved)
+    spare = jnp.clip(differs, SLACK * contact.range, MOST_SLACK * contact.range)
+    candidates, near = _wide(contact, state.x, moved, spare), _close(contact, state.x, ahead, moved, spare)
     known = _made(lists)
     blunt = contact.sharpest(scene.bending.hinges(state.x).theta) < DUE_TURN
-    wide = known & ~(listing.candidates.covers(ahead, USED) & blunt)
-    holds = listing.near.covers(state.x) & listing.near.covers(ahead, USED)
+    wide = known & ~(listing.candidates.covers(ahead, spare) & blunt)
+    holds = listing.near.covers(state.x) & listing.near.covers(ahead, spare)
     loose = jnp.mean(listing.near.reach) > LOOSE * jnp.mean(near.reach)
     close = wide | (known & (loose | ~holds))
     stale = known & ~close & ~_have_places(scene, lists)
@@ -140,7 +146,7 @@ def ready_for(scene: Scene, state: State, lists: Lists | None, ahead: Array) -> 
 def ready_to_restore(scene: Scene, state: State, lists: Lists | None) -> tuple[Lists, Array]:
     """The same for making the factor of the last tangent again, which changes nothing else."""
     assert scene.contact is not None and lists is not None
-    there = _close(scene.contact, state.kept.x, state.kept.x, jnp.zeros(scene.n_nodes))
+    there = Around(state.kept.x, jnp.broadcast_to(SLACK * scene.contact.range, scene.n_nodes))
     lists = lists._replace(wide=there, close=there)
     ready = _made(lists)
     return lists._replace(due=~ready), ready
@@ -165,18 +171,19 @@ def _placed(contact: Contact, x: Array, moved: Array) -> Around:
     return Around(x, jnp.minimum(reach, jnp.maximum(contact.calm, floor)))
 
 
-def _wide(contact: Contact, x: Array, moved: Array) -> Around:
-    """Reach of candidates at positions `x` (n, 3) before steps that move nodes by `moved` (n,)."""
-    floor = REACH * contact.range + FEWEST * moved
-    furthest = jnp.maximum(floor, (REACH + FURTHEST) * contact.range)
-    return Around(x, jnp.minimum(REACH * contact.range + STEPS * moved, furthest))
+def _wide(contact: Contact, x: Array, moved: Array, spare: Array) -> Around:
+    """Reach of candidates at positions `x` (n, 3) before steps that move nodes by `moved` (n,), and `spare`
+    m to spare."""
+    least = REACH * contact.range + spare
+    furthest = jnp.maximum(least + FURTHEST * contact.range, contact.calm)
+    return Around(x, jnp.minimum(least + STEPS * moved, jnp.maximum(least + FEWEST * moved, furthest)))
 
 
-def _close(contact: Contact, x: Array, ahead: Array, moved: Array) -> Around:
+def _close(contact: Contact, x: Array, ahead: Array, moved: Array, spare: Array) -> Around:
     """Motions of the next steps from `x` (n, 3), of which the first one goes to `ahead` and moves nodes by
     `moved` (n,): from the middle of their way, so that both its ends are as near as can be."""
     steps = jnp.clip(WAY * contact.range / jnp.maximum(jnp.max(moved), 1e-300), 1.0, SEVERAL)
-    return Around(x + 0.5 * steps * (ahead - x), SLACK * contact.range + 0.5 * ROOM * steps * moved)
+    return Around(x + 0.5 * steps * (ahead - x), spare + 0.5 * ROOM * steps * moved)
 
 
 def passes(scene: Scene, state: State, x: Array, t: Array) -> Array:

@@ -36,6 +36,10 @@ class BDFPair(AbstractImplicit):
         guess = jnp.tensordot(extrapolation(h, history.steps, points), history.x, 1)
         return guess if scene.prescribed is None else scene.prescribed.position(guess, state.t + h)
 
+    def differs(self, scene: Scene, state: State, h: Array) -> Array:
+        """Not known: the error is that of another pair of solutions."""
+        return jnp.zeros(())
+
     def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array) -> Attempt:
         """Try a step of size `h` s."""
         history = state.history

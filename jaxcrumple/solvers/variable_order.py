@@ -25,6 +25,8 @@ from jaxcrumple.system import CAUSES, IMPLICIT, ImplicitStep, State, implicit_st
 
 # A change of order must promise a step longer by this factor.
 ORDER_GAIN = 1.1
+# From the largest component of a difference to its length.
+DIAGONAL = 3.0**0.5
 # Steps with inertia whose errors may add up before each must leave less, and the most that are allowed for.
 REMEMBERED, MOST_REMEMBERED = 500.0, 1e4
 
@@ -64,6 +66,11 @@ class VariableOrder(AbstractImplicit):
     def predict(self, scene: Scene, state: State, h: Array) -> Array:
         """Positions (n, 3) after a step of size `h` s as the history tells."""
         return _predicted(scene, state, h, self._orders(scene, state, h).used)
+
+    def differs(self, scene: Scene, state: State, h: Array) -> Array:
+        """How far in m a node may be from `predict` after a step whose error is tolerated."""
+        share = self._formula(scene, state, h).share
+        return DIAGONAL * self._allowed(scene, state, h) / share * scene.length_scale
 
     def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array) -> Attempt:
         """Try a step of size `h` s in the state's stage."""
