@@ -78,6 +78,22 @@ def test_no_pair_is_missed_wherever_the_sheet_lies_and_however_it_is_turned():
     assert {*map(tuple, every_pair(scene, x, reach))} <= {*map(tuple, pairs)}
 
 
+def test_pairs_with_two_sharp_ways_count_once():
+    """Where few others are near, ways around nodes outnumber all pairs."""
+    points = np.array([[0, 0], [0.5, 0.9], [1, 0], [1.5, 0.9], [2, 0], [2.5, 0.9]]) * 3.0 * SIGMA
+    mesh = jc.Mesh.from_arrays(points, [[0, 1, 2], [1, 2, 3], [2, 3, 4], [3, 4, 5]])
+    scene = jc.sheet(mesh, jc.Material(thickness=0.3e-3), contact=jc.SelfContact(range=SIGMA, level=1))
+    lower = np.isin(np.arange(mesh.n_nodes), mesh.faces[np.argmin(mesh.vertices[mesh.faces, 0].sum(axis=1))])
+    x = mesh.vertices.copy()
+    x[~lower] = x[lower] + np.array([0.0, 0.0, 1.2 * SIGMA])
+    scene, x, reach = with_room(scene, 20), jnp.asarray(x), jnp.full(mesh.n_nodes, 0.5 * SIGMA)
+    sharp = np.sum(scene.contact.fans.turning(scene.bending.hinges(x).theta) > LISTED_TURN)
+    candidates = found(scene, x, reach)
+    pairs, _ = Search(scene.contact, scene.bending.nodes).find(np.asarray(x), np.asarray(reach))
+    assert sharp > len(pairs) == int(candidates.count)
+    np.testing.assert_array_equal(np.asarray(candidates.triangles)[: len(pairs)], pairs)
+
+
 def test_too_little_room_is_told():
     scene, x, reach = layers()
     candidates = found(with_room(scene, 100), x, reach)

@@ -70,8 +70,9 @@ def find_candidates(contact: Contact, theta: Array, around: Around) -> Candidate
     size = jnp.asarray(keys.shape[0])
     kept, fitted = compacted(lambda at: fresh[at][:, None], size, 1, room, ROUGH, lambda at: keys[at])
     triangles = jnp.stack([kept // n_faces, kept % n_faces], axis=1).astype(jnp.int32)
-    total = jnp.maximum(jnp.maximum(count, ways_count), fitted)
-    return Candidates(triangles, total, around, folded)
+    # Ways outnumber their pairs, so that they only count where they did not fit.
+    needed = jnp.maximum(count, ways_count)
+    return Candidates(triangles, jnp.where(needed > room, needed, fitted), around, folded)
 
 
 def _apart(contact: Contact, around: Around, room: int) -> tuple[Array, Array]:
