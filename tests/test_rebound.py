@@ -1,0 +1,86 @@
+"""Two rigid layers that fly at one another and rebound: energy and time of the bounce in closed form."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.optimize import brentq
+
+import jaxcrumple as jc
+
+SIGMA, SPEED, START = 0.5e-3, 1.0, 1.2 * 0.5e-3
+
+
+def layers():
+    """Two equilateral triangles that face each other, held together by nothing: scene without losses,
+    positions, and which nodes are of the upper one."""
+    points = (
+        3.0 * SIGMA * np.array([[0, 0], [0.5, 0.75**0.5], [1, 0], [1.5, 0.75**0.5], [2, 0], [2.5, 0.75**0.5]])
+    )
+    mesh = jc.Mesh.from_arrays(points, [[0, 1, 2], [1, 2, 3], [2, 3, 4], [3, 4, 5]])
+    material = jc.Material(thickness=0.3e-3, yield_curvature=None, drag_rate=0.0, internal_damping_time=0.0)
+    scene = jc.sheet(mesh, material, contact=jc.SelfContact(range=SIGMA, level=5))
+    first = mesh.faces[np.argmin(mesh.vertices[mesh.faces, 0].sum(axis=1))]
+    upper = ~np.isin(np.arange(mesh.n_nodes), first)
+    own = upper[mesh.edges[:, 0]] == upper[mesh.edges[:, 1]]
+    whole = np.isin(upper[mesh.faces].sum(axis=1), (0, 3))
+    scene = eqx.tree_at(
+        lambda s: (s.membrane.stiffness, s.bending.stiffness, s.contact.density),
+        scene,
+        (
+            jnp.where(own, scene.membrane.stiffness, 0.0),
+            jnp.zeros_like(scene.bending.stiffness),
+            jnp.where(whole, scene.contact.density, 0.0),
+        ),
+    )
+    x = mesh.vertices.copy()
+    # So that the triangles between them do not lie on one another.
+    x[upper] = np.roll(x[~upper], -1, axis=0)
+    return scene, x, upper
+
+
+def bounce(scene, x, upper):
+    """Time in s from the start to the return to the same gap, and the closest gap, by quadrature."""
+    reduced = 0.25 * float(jnp.sum(scene.mass))
+    near = jnp.asarray(x + np.where(upper, 0.95 * SIGMA, 0.0)[:, None] * np.array([0.0, 0.0, 1.0]))
+    contact = jc.with_contacts(scene, near).contact
+
+    @jax.jit
+    def potential(gap):
+        return contact.energy(near.at[:, 2].set(jnp.where(upper, gap, 0.0)))
+
+    def left(gap):
+        return SPEED**2 - 2.0 * float(potential(gap)) / reduced
+
+    closest = brentq(left, 0.8 * SIGMA, SIGMA, xtol=1e-14)
+    # With gap = closest + s^2 the integrand has no singularity.
+    slope = -(left(closest) - left(closest + 1e-9)) / 1e-9
+
+    def time(s):
+        return 2.0 * s / np.sqrt(left(closest + s * s)) if s > 1e-6 else 2.0 / np.sqrt(slope)
+
+    inside = quad(time, 0.0, np.sqrt(SIGMA - closest), epsrel=1e-7)[0]
+    return 2.0 * (inside + (START - SIGMA) / SPEED), closest
+
+
+@pytest.mark.parametrize(
+    ("scheme", "rtol", "loss"), [("explicit", 1e-3, 1e-4), ("dynamic", 1e-3, 3e-3), ("dynamic", 1e-4, 3e-4)]
+)
+def test_layers_rebound_with_their_energy_and_in_time(scheme, rtol, loss):
+    """The speed after the bounce is that before it, but for an error that falls with the tolerance; nothing
+    moves sideways."""
+    scene, x, upper = layers()
+    duration, closest = bounce(scene, x, upper)
+    assert 0.85 * SIGMA < closest < 0.98 * SIGMA
+    x[upper, 2] += START
+    v = np.zeros_like(x)
+    v[:, 2] = np.where(upper, -0.5, 0.5) * SPEED
+    state = jc.initial_state(scene, x, v)
+    end = jc.simulate(scene, state, duration, solver=jc.integrator(rtol, scheme=scheme)).state
+    v, gap = np.asarray(end.v), np.asarray(end.x)[upper, 2].mean() - np.asarray(end.x)[~upper, 2].mean()
+    parting = v[upper, 2].mean() - v[~upper, 2].mean()
+    assert abs(parting / SPEED - 1.0) < loss
+    assert abs(gap - START) < loss * START
+    assert np.abs(v[:, :2]).max() < 1e-8 * SPEED
