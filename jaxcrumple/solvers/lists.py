@@ -16,10 +16,9 @@ from jaxcrumple.model.near import Around, Candidates, Near, find_near, motion
 from jaxcrumple.model.scene import Scene, with_near
 from jaxcrumple.system import NEVER, Listing, State
 
-# How far, in ranges, a node may move in a step, less the sheet's mean motion: as long as something is near;
-# where nothing is, or the reach in which a flat sheet's neighbours do not appear if that is more; and in a
-# step without any before it.
-STRIDE, FREE_STRIDE, UNKNOWN = 1.0, 3.0, 0.25
+# How far, in ranges, a node may move in a step, less the mean motion; and in a step without any before
+# it. Where nothing is near it may be as far as a flat sheet's neighbours do not appear, if that is more.
+STRIDE, UNKNOWN = 1.0, 0.25
 # A list of sites is made for SEVERAL steps as long as they go no further than WAY ranges, with some ROOM; one
 # that reaches LOOSE times further than steps now need is made anew. All lists have to spare what a step may
 # differ from its prediction, between SLACK and MOST_SLACK ranges: more would hold flat neighbours.
@@ -101,7 +100,7 @@ def largest_move(
     before: lists for more would hold too much."""
     assert scene.contact is not None and lists is not None
     sigma = scene.contact.range
-    free = jnp.maximum(FREE_STRIDE * sigma, scene.contact.calm)
+    free = jnp.maximum(STRIDE * sigma, scene.contact.calm)
     stride = jnp.where(lists.near.pair_count > 0, STRIDE * sigma, free)
     most = jnp.where(known, stride, UNKNOWN * sigma)
     return jnp.minimum(most / jnp.maximum(jnp.max(motion(x, ahead)), 1e-300), 1.0)
