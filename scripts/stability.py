@@ -33,7 +33,7 @@ from scipy.stats import qmc
 
 from jaxcrumple import Solution, initial_state, simulate
 from jaxcrumple.config import RunConfig, configure
-from jaxcrumple.model.intersections import intersections
+from jaxcrumple.measure import count_intersections
 from jaxcrumple.scenes import Setup
 from jaxcrumple.scenes.radial import smooth_imperfection
 from jaxcrumple.simulate import explain
@@ -167,8 +167,7 @@ def _behind(setup: Setup, solution: Solution) -> np.ndarray:
 
 def _intersections(setup: Setup, solution: Solution) -> int:
     """How often edges pass through triangles, at each frame and at the end together."""
-    mesh = setup.mesh
-    return sum(len(intersections(x, mesh.faces, mesh.edges)) for x in (*solution.x, solution.state.x))
+    return sum(count_intersections(setup.mesh, x) for x in (*solution.x, solution.state.x))
 
 
 def _distance(x: np.ndarray, y: np.ndarray) -> np.ndarray:
