@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike
 
 from jaxcrumple.model.fans import PLACED_TURN
 from jaxcrumple.model.merger import Merger
-from jaxcrumple.model.near import Around, Candidates, Room, find_near, no_candidates, no_neighbors
+from jaxcrumple.model.near import Around, Candidates, Room, no_candidates, no_neighbors
+from jaxcrumple.model.neighbors import find_near
 from jaxcrumple.model.scene import Scene, with_near
 from jaxcrumple.model.search import Search
 from jaxcrumple.system import State, first_listing

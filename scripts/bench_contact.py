@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from jaxcrumple import integrator
 from jaxcrumple.model.grid import find_candidates
 from jaxcrumple.model.intersections import intersections
-from jaxcrumple.model.near import find_near
+from jaxcrumple.model.neighbors import find_near
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.renewal import Renewal, with_contacts
 from jaxcrumple.system import State

@@ -87,10 +87,63 @@ def compacted(
     return kept, total.astype(int)
 
 
-def counted(flags: Array) -> Array:
-    """How many (m,) of `flags` (m,) hold up to and including each: two short sums, the first by a product of
-    matrices."""
-    rows = jnp.pad(flags, (0, -flags.size % SIDE)).reshape(-1, SIDE).astype(jnp.float32)
+def enumerated(
+    intervals: Callable[[Array], tuple[Array, Array]],
+    count: Array,
+    size: int,
+    rows: int,
+    entries: Callable[[Array, Array], Array],
+) -> tuple[Array, Array]:
+    """The whole numbers of intervals in order, 0 beyond, and how many there are, as what `entries` makes of
+    them.
+
+    `intervals` takes row numbers (k,) and returns the first number of (k, w) intervals and the one behind the
+    last; `entries` takes row numbers (k,) and numbers (k, w). `rows` are looked at at a time, as in
+    `compacted`.
+    """
+
+    def body(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        chunk, kept, total = carry
+        at = chunk * rows + jnp.arange(rows, dtype=jnp.int32)
+        inside = jnp.minimum(at, count - 1)
+        first, behind = intervals(inside)
+        length = jnp.where((at < count)[:, None], jnp.maximum(behind - first, 0), 0)
+        ends = total + counted(length.reshape(-1)).reshape(length.shape)
+
+        def add(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+            number, kept = carry
+            place = jnp.where(number < length, ends - length + number, size)
+            found = entries(inside, first + number)
+            return number + 1, kept.at[place.reshape(-1)].set(found.reshape(-1), mode="drop")
+
+        longest = jnp.max(length)
+        _, kept = jax.lax.while_loop(lambda carry: carry[0] < longest, add, (zero, kept))
+        return chunk + 1, kept, ends[-1, -1]
+
+    zero, count = jnp.zeros((), jnp.int32), jnp.asarray(count, jnp.int32)
+    start = (zero, jnp.zeros(size, jnp.int32), zero)
+    _, kept, total = jax.lax.while_loop(lambda carry: carry[0] * rows < count, body, start)
+    return kept, total.astype(int)
+
+
+def filled(value: Callable[[Array], Array], count: Array, shape: tuple[int, int], chunk: int) -> Array:
+    """A table with the rows `value` (chunk, k) of places (chunk,) for the first `count`; the others are 0."""
+    size = shape[0]
+
+    def body(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        first, rows = carry
+        at = jnp.minimum(first + jnp.arange(chunk), size - 1)
+        return first + chunk, jax.lax.dynamic_update_slice(rows, value(at), (first, jnp.zeros_like(first)))
+
+    start = jnp.asarray(0), jnp.zeros((size + chunk, shape[1]))
+    many = jnp.minimum(count, size)
+    return jax.lax.while_loop(lambda carry: carry[0] < many, body, start)[1][:size]
+
+
+def counted(numbers: Array) -> Array:
+    """Sum (m,) of small whole `numbers` (m,), or of flags, up to and including each: two short sums, the
+    first by a product of matrices."""
+    rows = jnp.pad(numbers, (0, -numbers.size % SIDE)).reshape(-1, SIDE).astype(jnp.float32)
     within = rows @ jnp.triu(jnp.ones((SIDE, SIDE), jnp.float32))
     before = jnp.cumsum(within[:, -1]) - within[:, -1]
-    return (within + before[:, None]).reshape(-1)[: flags.size].astype(jnp.int32)
+    return (within + before[:, None]).reshape(-1)[: numbers.size].astype(jnp.int32)

@@ -1,8 +1,10 @@
-"""Distances between points, segments and triangles (Ericson, Real-Time Collision Detection, ch. 5).
+"""Distances between points, segments, triangles and boxes (Ericson, Real-Time Collision Detection, ch. 5).
 
 Vectors are tuples of three arrays, as in `geometry`; all formulas broadcast. Branches are clamps and
 minima, so that one kernel serves any number of pairs.
 """
+
+from functools import reduce
 
 import jax
 import jax.numpy as jnp
@@ -81,3 +83,16 @@ def shared_parts(first: Array, second: Array) -> Array:
     for i, j in EDGES:
         owned.append(jnp.any(same[:, np.array(ENDS[i])][:, :, np.array(ENDS[j])], axis=(1, 2)))
     return jnp.stack(owned)
+
+
+def boxes(corners: Array, extent: Array) -> tuple[Vec, Vec]:
+    """Lowest and highest coordinates, three (f,) each, of triangles with `corners` (f, 3, 3) that move by
+    `extent` (f,)."""
+    low, high = jnp.min(corners, axis=1) - extent[:, None], jnp.max(corners, axis=1) + extent[:, None]
+    return (low[:, 0], low[:, 1], low[:, 2]), (high[:, 0], high[:, 1], high[:, 2])
+
+
+def boxes_meet(low: Vec, high: Vec, one: Array, two: Array, range: Array) -> Array:
+    """Whether the boxes `one` (m,) and `two` (m,) come within the range of one another."""
+    apart = [jnp.maximum(a[one] - b[two], a[two] - b[one]) for a, b in zip(low, high, strict=True)]
+    return reduce(jnp.maximum, apart) <= range

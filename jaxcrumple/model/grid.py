@@ -15,10 +15,10 @@ from jax import Array
 
 from jaxcrumple.model.chunks import compacted, counted
 from jaxcrumple.model.contact import Contact
-from jaxcrumple.model.distance import TINY
+from jaxcrumple.model.distance import TINY, boxes, boxes_meet
 from jaxcrumple.model.fans import LISTED_TURN
 from jaxcrumple.model.geometry import Vec, add, cross, dot, gather, sub
-from jaxcrumple.model.near import EXCLUSION, NONE, Around, Candidates, boxes, boxes_meet, pair_key
+from jaxcrumple.model.near import EXCLUSION, NONE, Around, Candidates, pair_key
 
 # Pairs of triangles in neighbouring cells that are looked at together; of these, those whose boxes meet; of
 # these, those that share no node.

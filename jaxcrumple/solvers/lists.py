@@ -12,7 +12,8 @@ from jaxcrumple.model.contact import Contact
 from jaxcrumple.model.fans import DUE_TURN, MOST_TURN
 from jaxcrumple.model.fields import select
 from jaxcrumple.model.grid import find_candidates
-from jaxcrumple.model.near import Around, Candidates, Near, find_near, motion
+from jaxcrumple.model.near import Around, Candidates, Near, motion
+from jaxcrumple.model.neighbors import find_near
 from jaxcrumple.model.scene import Scene, with_near
 from jaxcrumple.system import NEVER, Listing, State
 
