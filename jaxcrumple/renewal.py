@@ -19,8 +19,8 @@ _find_near = eqx.filter_jit(find_near)
 # Reach in ranges of the first list of sites.
 FIRST = 0.25
 # First room of the lists: for each node, pairs of triangles that may meet, those near or with a place in the
-# matrix, sites there, and pairs.
-ROOM_PER_NODE = (4.0, 1.0, 32.0, 128.0)
+# matrix, sites there, and pairs. In a fine mesh the next neighbours of all triangles are among the first.
+ROOM_PER_NODE = (16.0, 1.0, 32.0, 128.0)
 # and those of the smallest sheets.
 SMALLEST_ROOM = 2000
 # A list that grows has room for so many times what it must hold: to compile again takes longer than many

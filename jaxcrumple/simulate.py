@@ -32,6 +32,9 @@ from jaxcrumple.threads import limited_blas
 
 # Seconds between reports to observers where calls of `integrate` are shorter.
 CHUNK = 1.0
+# A call of `integrate` takes so many seconds, or as long as so many attempts: each starts by making lists and a
+# factor again, and reports and checkpoints wait for its end.
+CALL, SHORTEST = 8.0, 32.0
 _integrate = eqx.filter_jit(integrate)
 
 ENERGIES = ("stretch", "bending", "contact", "confinement", "gravity", "extra", "kinetic")
@@ -233,8 +236,9 @@ class _Budget:
         made, spent = _attempts(state) - self.first, time.perf_counter() - self.start
         if spent >= self.seconds:
             return 0.0
-        in_time = np.inf if np.isinf(self.seconds) else 1 + made * (self.seconds / spent - 1.0)
-        return min(self.attempts - made, np.ceil(in_time))
+        rate = made / spent
+        soon = max(SHORTEST, rate * CALL)
+        return min(self.attempts - made, np.ceil(min(1 + rate * (self.seconds - spent), soon)))
 
 
 def _attempts(state: State) -> int:

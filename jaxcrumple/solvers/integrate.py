@@ -39,7 +39,7 @@ from jaxcrumple.system import (
 )
 
 # Cost units: a call ends after BUDGET units, so that its caller can save, and reports in between.
-BUDGET = 1024
+BUDGET = 4096
 IMPLICIT_COST, EXPLICIT_COST = 32, 1
 # One explicit step in this many is logged: they are short and many.
 EXPLICIT_LOG_EVERY = 16
