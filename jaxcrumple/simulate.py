@@ -32,8 +32,8 @@ from jaxcrumple.threads import limited_blas
 
 # Seconds between reports to observers where calls of `integrate` are shorter.
 CHUNK = 1.0
-# A call of `integrate` takes so many seconds, or as long as so many attempts: each starts by making lists and a
-# factor again, and reports and checkpoints wait for its end.
+# A call of `integrate` takes so many seconds, or as long as so many attempts: each starts by making lists and
+# a factor again, and reports and checkpoints wait for its end.
 CALL, SHORTEST = 8.0, 32.0
 _integrate = eqx.filter_jit(integrate)
 
