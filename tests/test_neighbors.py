@@ -1,0 +1,75 @@
+"""The list of sites that may meet against a sum over all pairs of sites."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from folded import folded, strip
+from scipy.spatial.transform import Rotation
+
+import jaxcrumple as jc
+from jaxcrumple.model.near import EXCLUSION, Around, Room, no_neighbors
+from jaxcrumple.model.neighbors import find_near
+from jaxcrumple.model.scene import with_near
+from jaxcrumple.renewal import Renewal
+
+SIGMA, GAP = 0.5e-3, 0.9
+COLUMNS = (5, 6, 5)
+
+
+def layers(level: int, roughness: float, turned: bool):
+    """Contact of a strip folded twice, with candidates and room, its positions and reach.
+
+    Where it is smooth and straight, sites lie in the planes that bound what is looked at, up to rounding.
+    """
+    mesh = strip(GAP * SIGMA, columns=COLUMNS, rows=4)
+    rng = np.random.default_rng(2)
+    x = folded(mesh, GAP * SIGMA, COLUMNS) + roughness * SIGMA * rng.normal(size=(mesh.n_nodes, 3))
+    if turned:
+        x = Rotation.random(rng=rng).apply(x)
+    reach = SIGMA * rng.uniform(0.02, 0.4, mesh.n_nodes)
+    options = jc.SelfContact(range=SIGMA, level=level)
+    scene = jc.sheet(mesh, jc.Material(thickness=0.3e-3), contact=options)
+    scene = with_near(scene, no_neighbors(scene.n_nodes, Room(2000, 40000, 400000)))
+    around = Around(jnp.asarray(x), jnp.asarray(reach))
+    return Renewal(scene, merged=False).searched(scene, around).contact, around
+
+
+def all_pairs(contact, x, reach, miss):
+    """Sites (triangle, triangle, site, site) of candidates as near as their reach allows, but for `miss`."""
+    faces, weights, rest = (np.asarray(a) for a in (contact.faces, contact.weights, contact.rest))
+    pairs = np.asarray(contact.candidates.triangles[: int(contact.candidates.count)])
+    one, two = faces[pairs[:, 0]], faces[pairs[:, 1]]
+    limit = SIGMA + reach[one].max(axis=1) + reach[two].max(axis=1)
+
+    def apart(points):
+        sides = (np.einsum("sk,pki->psi", weights, points[nodes]) for nodes in (one, two))
+        return np.linalg.norm(next(sides)[:, :, None] - next(sides)[:, None], axis=3)
+
+    near = apart(x) <= limit[:, None, None] + miss
+    pair, first, second = np.nonzero(near & (apart(rest) >= EXCLUSION * SIGMA))
+    return set(zip(*pairs[pair].T, first, second, strict=True))
+
+
+def listed(near, sites):
+    """The same of a list."""
+    at, second = np.divmod(np.asarray(near.picked[: int(near.site_count)]), sites)
+    owner, first = np.divmod(np.asarray(near.found)[at], sites)
+    triangles = np.asarray(near.triangles)[owner]
+    return list(zip(*triangles.T, first, second, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("level", "roughness", "turned"), [(0, 0.0, False), (4, 0.0, False), (4, 0.0, True), (3, 0.1, True)]
+)
+def test_the_list_holds_the_sites_that_may_meet_and_no_others(level, roughness, turned):
+    contact, around = layers(level, roughness, turned)
+    near = eqx.filter_jit(find_near)(contact, around)
+    assert not np.any(near.overflow)
+    found = listed(near, contact.weights.shape[0])
+    assert len(found) > 100
+    assert found == sorted(set(found))
+    x, reach = np.asarray(around.x), np.asarray(around.reach)
+    assert all_pairs(contact, x, reach, -1e-9 * SIGMA) <= set(found)
+    # What lies beyond by less than rounding allows for may be in it.
+    assert set(found) <= all_pairs(contact, x, reach, 1e-4 * SIGMA)
