@@ -238,7 +238,9 @@ class _Budget:
             return 0.0
         rate = made / spent
         soon = max(SHORTEST, rate * CALL)
-        return min(self.attempts - made, np.ceil(min(1 + rate * (self.seconds - spent), soon)))
+        if np.isfinite(self.seconds):
+            soon = min(soon, 1 + rate * (self.seconds - spent))
+        return min(self.attempts - made, np.ceil(soon))
 
 
 def _attempts(state: State) -> int:

@@ -132,8 +132,8 @@ def filled(value: Callable[[Array], Array], count: Array, shape: tuple[int, int]
 
     def body(carry: tuple[Array, Array]) -> tuple[Array, Array]:
         first, rows = carry
-        at = jnp.minimum(first + jnp.arange(chunk), size - 1)
-        return first + chunk, jax.lax.dynamic_update_slice(rows, value(at), (first, jnp.zeros_like(first)))
+        part = value(_places(first, size, chunk))
+        return first + chunk, jax.lax.dynamic_update_slice(rows, part, (first, jnp.zeros_like(first)))
 
     start = jnp.asarray(0), jnp.zeros((size + chunk, shape[1]))
     many = jnp.minimum(count, size)

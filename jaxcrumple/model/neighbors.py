@@ -33,22 +33,22 @@ def find_near(contact: "Contact", around: Around) -> Near:
     def close(at: Array) -> tuple[Array, Array]:
         return _in_prism(lattice, gather(x, first[at]), gather(x, second[at]), reach[at])
 
-    def site(at: Array, number: Array) -> Array:
+    def place(at: Array, number: Array) -> Array:
         return at[:, None] * lattice.count + lattice.first + number
 
     chunk = max(LINES // len(lattice.row), 1)
-    found, found_count = enumerated(close, pair_count, room.sites, chunk, site)
+    found, found_count = enumerated(close, pair_count, room.sites, chunk, place)
 
-    def sides(at: Array) -> tuple[Vec, Vec, Vec]:
-        """Where in the second triangle's lattice the site is: from there to its start, and its two steps."""
+    def sides(at: Array) -> tuple[Vec, Vec, Vec, Array]:
+        """Where in the second triangle's lattice the site is: from there to its start, its two steps, and how
+        far sites may be."""
         owner, site = split(found[at], lattice.count)
         point = lattice.point(site, gather(x, first[owner]))
-        return lattice.steps(point, gather(x, second[owner]))
+        return *lattice.steps(point, gather(x, second[owner])), reach[owner]
 
     def rows(at: Array) -> tuple[Array, Array]:
-        start, row, step = sides(at)
-        beside = _across(start, step), _across(row, step)
-        return _within(*beside, reach[found[at] // lattice.count], lattice.parts)
+        start, row, step, limit = sides(at)
+        return _within(_across(start, step), _across(row, step), limit, lattice.parts)
 
     width = lattice.parts + 1
     lines, line_count = enumerated(
@@ -57,8 +57,7 @@ def find_near(contact: "Contact", around: Around) -> Near:
 
     def columns(at: Array) -> tuple[Array, Array]:
         here, number = split(lines[at], width)
-        start, row, step = sides(here)
-        limit = reach[found[here] // lattice.count]
+        start, row, step, limit = sides(here)
         return _within(add(start, scale(number, row)), step, limit, lattice.parts - number)
 
     def entry(at: Array, column: Array) -> Array:
@@ -161,6 +160,7 @@ def _in_prism(
         (second[0], scale(-1.0, normal)),
         *((second[k], _unit(cross(edges[k], normal))) for k in range(3)),
     ]:
+        # Once a triangle, which the compiler would do again for each of its rows.
         a, b, c = jax.lax.optimization_barrier(tuple(dot(sub(p, corner), direction) for p in first))
         row, rise = (a - c) / lattice.parts, ((b - c) / lattice.parts)[:, None]
         room = (reach - c)[:, None] - row[:, None] * lattice.row
