@@ -20,9 +20,10 @@ _find_near = eqx.filter_jit(find_near)
 FIRST = 0.25
 # First room of the lists: for each node, pairs of triangles that may meet, those near or with a place in the
 # matrix, sites there, and pairs. In a fine mesh the next neighbours of all triangles are among the first.
-ROOM_PER_NODE = (16.0, 1.0, 32.0, 128.0)
-# and those of the smallest sheets.
-SMALLEST_ROOM = 2000
+# What a crumple to a third of its size needs fits; more costs each step, for lists are written whole.
+ROOM_PER_NODE = (16, 1, 16, 32)
+# The same at least: sites that meet are as many in a coarse mesh.
+SMALLEST_ROOM = (32_000, 1000, 32_000, 64_000)
 # A list that grows has room for so many times what it must hold: to compile again takes longer than many
 # steps.
 SOON = 1.5
@@ -39,7 +40,8 @@ class Renewal:
         assert contact is not None and scene.pattern.contact is not None
         self.search = Search(contact, np.asarray(scene.bending.nodes))
         self.merger = Merger(scene.pattern, np.asarray(contact.faces)) if merged else None
-        rooms = [int(share * max(scene.n_nodes, SMALLEST_ROOM)) for share in ROOM_PER_NODE]
+        sizes = zip(ROOM_PER_NODE, SMALLEST_ROOM, strict=True)
+        rooms = [max(share * scene.n_nodes, least) for share, least in sizes]
         self.candidates = max(rooms[0], contact.candidates.triangles.shape[0])
         old = contact.near.room
         self.room = Room(*(max(new, before) for new, before in zip(rooms[1:], old, strict=True)))

@@ -19,6 +19,7 @@ from jax import Array
 
 from jaxcrumple.material import ModelConstants
 from jaxcrumple.mesh import Mesh
+from jaxcrumple.model.chart import Chart, build_chart
 from jaxcrumple.model.chunks import accumulate, compacted
 from jaxcrumple.model.crossing import crosses
 from jaxcrumple.model.fans import Fans, build_fans
@@ -46,6 +47,9 @@ CLOSER = 0.98
 CALM = 0.8
 # The reach that this allows in ranges, at least.
 LEAST = 0.25
+# Sites that may interact are EXCLUSION ranges apart at rest, so none do where no distance is less than this
+# share of that at rest; and the share ahead of a step that may end a little elsewhere.
+APART, APART_AHEAD = 0.55, 0.6
 # Pairs of sites that are looked at together: those in the list, and those that interact.
 LISTED, ACTIVE = 1024, 256
 
@@ -106,6 +110,7 @@ class Contact(eqx.Module):
     - `stiffness` $k_s$ in N/m, `range` $\\sigma$ in m, `core` m or None.
     - `calm` m: reach of lists in which neighbours in a flat sheet do not appear.
     - `fans`: triangles that share a node, and the hinges between them.
+    - `chart`: tells where the sheet meets itself nowhere, so that lists need not hold; or None.
     - `candidates`, `near`: who may meet; see `jaxcrumple.model.near`.
     """
 
@@ -119,6 +124,7 @@ class Contact(eqx.Module):
     core: Array | None
     calm: Array = eqx.field(converter=as_float)
     fans: Fans
+    chart: Chart | None
     candidates: Candidates
     near: Near
 
@@ -241,8 +247,19 @@ class Contact(eqx.Module):
         return crosses(self, start, end)
 
     def covers(self, x: Array) -> Array:
-        """Whether the lists hold for positions `x` (n, 3): no node moved further than they allow for."""
-        return self.candidates.around.covers(x) & self.near.covers(x)
+        """Whether the lists hold for positions `x` (n, 3): no node moved further than they allow for, or no
+        list is needed."""
+        listed = self.candidates.around.covers(x) & self.near.covers(x)
+        return jax.lax.cond(listed, lambda: listed, lambda: self.apart(x, x))
+
+    def apart(self, start: Array, end: Array, share: float = APART) -> Array:
+        """Whether the sheet meets itself nowhere on a straight way from `start` to `end` (n, 3); False where
+        that is not plain to see. `share`: of distances at rest that must be left."""
+        if self.chart is None:
+            return jnp.asarray(False)
+        start, end = jax.lax.stop_gradient((start, end))
+        frame = self.chart.frame(start)
+        return (self.chart.least(start, frame) > share) & (self.chart.least(end, frame) > share)
 
 
 class _Pairs(NamedTuple):
@@ -302,6 +319,7 @@ def build_contact(mesh: Mesh, constants: ModelConstants, options: SelfContact) -
         core=as_float(core) if barrier else None,
         calm=as_float(max(0.5 * (CALM * mesh.hinge_height.min() - sigma), LEAST * sigma)),
         fans=fans,
+        chart=build_chart(mesh),
         candidates=no_candidates(mesh.n_nodes, len(fans.triangles)),
         near=no_neighbors(mesh.n_nodes),
     )

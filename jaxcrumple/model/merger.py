@@ -7,8 +7,8 @@ from jaxcrumple.model.cross import SIZE, Merged
 from jaxcrumple.model.near import NONE, pair_key
 from jaxcrumple.model.pattern import Pattern, scalar_entries
 
-# Room for entries that a pair adds: its triangles have most of their blocks in common with other pairs.
-ENTRIES = 18
+# Room for entries that a pair adds, of 81: it has most of its blocks in common with other pairs.
+ENTRIES = 10
 
 
 class Merger:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxcrumple.model.contact import Contact
+from jaxcrumple.model.contact import APART_AHEAD, Contact
 from jaxcrumple.model.fans import DUE_TURN, MOST_TURN
 from jaxcrumple.model.fields import select
 from jaxcrumple.model.grid import find_candidates
@@ -114,7 +114,7 @@ def ready_for(
     so many m; where not, what is due before.
 
     All follows from the state alone, also where pairs have no place in the matrix: the state then says so and
-    waits for the host.
+    waits for the host. Where the sheet meets itself nowhere, any lists do.
     """
     contact, listing = listed(scene, lists).contact, state.listing
     assert contact is not None and listing is not None and lists is not None
@@ -123,11 +123,12 @@ def ready_for(
     spare = jnp.clip(differs, SLACK * contact.range, MOST_SLACK * contact.range)
     candidates, near = _wide(contact, state.x, moved, spare), _close(contact, state.x, ahead, moved, spare)
     known = _made(lists)
+    apart = contact.apart(state.x, ahead, APART_AHEAD)
     blunt = contact.sharpest(scene.bending.hinges(state.x).theta) < DUE_TURN
-    wide = known & ~(listing.candidates.covers(ahead, spare) & blunt)
+    wide = known & ~apart & ~(listing.candidates.covers(ahead, spare) & blunt)
     holds = listing.near.covers(state.x) & listing.near.covers(ahead, spare)
     loose = jnp.mean(listing.near.reach) > LOOSE * jnp.mean(near.reach)
-    close = wide | (known & (loose | ~holds))
+    close = wide | (known & ~apart & (loose | ~holds))
     stale = known & ~close & ~_have_places(scene, lists)
     listing = Listing(
         candidates=select(wide | stale, candidates, listing.candidates),
@@ -195,5 +196,9 @@ def passes(scene: Scene, state: State, x: Array, t: Array) -> Array:
     contact = scene.contact
     if contact is None:
         return through
-    sharp = contact.sharpest(scene.bending.hinges(x).theta) > MOST_TURN
-    return through | ~contact.covers(x) | sharp | contact.crosses(state.x, x)
+
+    def crosses() -> Array:
+        sharp = contact.sharpest(scene.bending.hinges(x).theta) > MOST_TURN
+        return ~contact.covers(x) | sharp | contact.crosses(state.x, x)
+
+    return through | jax.lax.cond(contact.apart(state.x, x), lambda: jnp.asarray(False), crosses)
