@@ -6,8 +6,8 @@ points of the plane, in the direction $u$,
 $$|x_2 - x_1| \\ge u \\cdot M^T (x_2 - x_1) = \\int u \\cdot M^T J u\\,ds \\ge \\lambda\\,|Y_2 - Y_1| \\ge
 \\lambda\\,|X_2 - X_1| / \\Lambda,$$
 with $\\lambda$ the least eigenvalue of the symmetric parts of all $M^T J$ and $\\Lambda$ the largest stretch
-from Y to X. $\\lambda$ is concave in x, so on the straight way between two positions it is no less than at one
-of them.
+from Y to X. $\\lambda$ is concave in x, so on the straight way between two positions it is no less than at
+one of them.
 """
 
 import equinox as eqx
@@ -19,8 +19,8 @@ from scipy.spatial import ConvexHull
 from jaxcrumple.mesh import Mesh
 from jaxcrumple.model.geometry import Vec, add, dot, gather, scale, sub
 
-# By how much a rest shape may miss its convex hull in area, and its rim the hull's rim, relative to the whole:
-# far less than is left to spare of distances that matter.
+# By how much a rest shape may miss its convex hull in area, and its rim that of the hull, relative to the
+# whole: far less than is left to spare of distances that matter.
 ROUNDING = 1e-6
 
 
