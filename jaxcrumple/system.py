@@ -389,8 +389,8 @@ def _assemble(scene: Scene, x, t, edge_blocks, hinge_blocks, nodes) -> Array:
     if scene.contact is None or pattern.contact is None:
         values = pattern.values(blocks)
     else:
-        blocks, cross = scene.contact.add_tangent(x, blocks, pattern.contact.face_blocks)
-        values = jnp.concatenate([pattern.values(blocks), cross.reshape(-1)])
+        blocks, cross, lift = scene.contact.add_tangent(x, blocks, pattern.contact.face_blocks)
+        values = jnp.concatenate([pattern.values(blocks), cross.reshape(-1), lift])
     return values if scene.prescribed is None else _eliminate(scene, scene.prescribed, values)
 
 

@@ -147,14 +147,19 @@ class Contact(eqx.Module):
 
         return self._sum(x, add, jnp.zeros_like(x))
 
-    def add_tangent(self, x: Array, own: Array, face_blocks: Array) -> tuple[Array, Array]:
+    def add_tangent(self, x: Array, own: Array, face_blocks: Array) -> tuple[Array, Array, Array]:
         """The Hessian, (A.10) with its sign put right: added to the sheet's `own` blocks (b, 9), of which
-        `face_blocks` (f, 6) are those of a triangle's nodes; and blocks (T, 9, 9) from the nodes of one
-        triangle of each pair in the list to those of the other. In N/m."""
+        `face_blocks` (f, 6) are those of a triangle's nodes; blocks (T, 9, 9) from the nodes of one triangle
+        of each pair in the list to those of the other; and a diagonal (n,) that makes up for what is negative
+        in `own`, without the blocks. In N/m.
+
+        Sites that push are soft across their direction, the more the harder they push: of two sheets that
+        slide together nothing is left of this, but of each one alone.
+        """
         one, two = np.array(upper_pairs(3)).T
 
-        def add(total: tuple[Array, Array], contact: "Contact", x: Array, pairs: "_Pairs"):
-            own, cross = total
+        def add(total: tuple[Array, Array, Array], contact: "Contact", x: Array, pairs: "_Pairs"):
+            own, cross, lift = total
             r, distance = _separation(pairs, x)
             tension = pairs.strength * contact._slope(distance) / distance
             direction = r / distance[:, None]
@@ -166,10 +171,11 @@ class Contact(eqx.Module):
                 weights = pairs.weights[:, 3 * side : 3 * side + 3]
                 own = own.at[blocks].add((weights[:, one] * weights[:, two])[:, :, None] * matrix)
             both = (pairs.weights[:, :3, None] * pairs.weights[:, None, 3:]).reshape(-1, 9, 1)
-            return own, cross.at[pairs.owner].add(both * matrix)
+            soft = jnp.abs(pairs.weights) * jnp.maximum(-tension, 0.0)[:, None]
+            return own, cross.at[pairs.owner].add(both * matrix), lift.at[pairs.nodes].add(soft)
 
         cross = jnp.zeros((self.near.triangles.shape[0], 9, 9), x.dtype)
-        return self._sum(x, add, (own, cross))
+        return self._sum(x, add, (own, cross, jnp.zeros(x.shape[0], x.dtype)))
 
     def stiffness_bound(self, x: Array) -> Array:
         """Numbers (n,) in N/m whose matrix bounds the Hessian, also a little closer than at `x`."""

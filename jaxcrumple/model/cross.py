@@ -52,11 +52,11 @@ class Cross(eqx.Module):
 
     @property
     def size(self) -> int:
-        """Numbers that contact adds to the tangent's values."""
+        """Numbers of all blocks."""
         return SIZE * self.triangles.shape[0]
 
     def product(self, appended: Array, x: Array) -> Array:
-        """Appended values (81 t,) times vector (3n,)."""
+        """Appended values (81 t + n,) times vector (3n,)."""
 
         def add(total: Array, arguments: tuple["Cross", Array, Array], at: Array) -> Array:
             cross, blocks, points = arguments
@@ -67,14 +67,19 @@ class Cross(eqx.Module):
             return total.at[one].add(first).at[two].add(second)
 
         points, room = x.reshape(-1, 3), self.triangles.shape[0]
-        arguments = (self, _blocks(appended), points)
+        arguments = (self, self._blocks(appended), points)
         return accumulate(add, jnp.zeros_like(points), arguments, self.count, room, CHUNK).reshape(-1)
 
     def free(self, appended: Array, mask: Array) -> Array:
         """Appended values with rows and columns of components in `mask` (n, 3) set to zero."""
         one, two = mask[self.nodes[:, :3]], mask[self.nodes[:, 3:]]
         fixed = one[:, :, None, :, None] | two[:, None, :, None, :]
-        return jnp.where(fixed, 0.0, _blocks(appended)).reshape(-1)
+        blocks = jnp.where(fixed, 0.0, self._blocks(appended)).reshape(-1)
+        return jnp.concatenate([blocks, self.lift(appended)])
+
+    def lift(self, appended: Array) -> Array:
+        """The diagonal (n,) that the sheet's own part needs where it stands without the blocks."""
+        return appended[self.size :]
 
     def upper(self, appended: np.ndarray, size: int) -> sparse.csr_array:
         """Appended values as the upper triangle of a matrix (size, size)."""
@@ -85,7 +90,7 @@ class Cross(eqx.Module):
         column = np.broadcast_to(
             3 * nodes[:, None, 3:, None, None] + np.arange(3), (len(nodes), 3, 3, 3, 3)
         ).reshape(-1)
-        matrix = sparse.csr_array((appended, (row, column)), shape=(size, size))
+        matrix = sparse.csr_array((appended[: self.size], (row, column)), shape=(size, size))
         return sparse.csr_array(sparse.triu(matrix + matrix.T))
 
     def merge(self, own: Array, appended: Array) -> Array:
@@ -103,7 +108,7 @@ class Cross(eqx.Module):
             entries = merged.cross[cross._rows(merged, at)]
             return total.at[entries].add((cross._held(blocks, at) * factor).reshape(-1, SIZE), mode="drop")
 
-        arguments = (self, merged, _blocks(appended))
+        arguments = (self, merged, self._blocks(appended))
         return accumulate(add, values, arguments, self.count, self.triangles.shape[0], CHUNK)
 
     def placed(self) -> Array:
@@ -126,8 +131,7 @@ class Cross(eqx.Module):
         held = (at < self.count).reshape(-1, *[1] * (values.ndim - 1))
         return jnp.where(held, values[at], jnp.zeros((), values.dtype))
 
-
-def _blocks(appended: Array) -> Array:
-    """Appended values as blocks (t, 3, 3, 3, 3): pair of triangles, node of the one, of the other,
-    components."""
-    return appended.reshape(-1, 3, 3, 3, 3)
+    def _blocks(self, appended: Array) -> Array:
+        """Blocks (t, 3, 3, 3, 3) of appended values: pair of triangles, node of the one, of the other,
+        components."""
+        return appended[: self.size].reshape(-1, 3, 3, 3, 3)

@@ -27,7 +27,8 @@ class Pattern(eqx.Module):
     - `neighbors` (n, k): block columns of each node's row, both triangles, padded with the node itself.
     - `row_entries` (n, 3, 3k): entry of each element of these blocks, `nnz` where there is none.
     - `coarse`: a smooth coarse space over the nodes, for two-level solvers.
-    - `contact`: blocks between triangles that touch, whose values follow the `nnz` own ones; or None.
+    - `contact`: blocks between triangles that touch, whose values follow the `nnz` own ones, and after these
+      a diagonal (n,), see `separate`; or None.
     """
 
     indptr: Array
@@ -51,7 +52,7 @@ class Pattern(eqx.Module):
     @property
     def size(self) -> int:
         """Length of the vector of values: those of the sheet, then those of contact."""
-        return self.nnz + (0 if self.contact is None else self.contact.size)
+        return self.nnz + (0 if self.contact is None else self.contact.size + len(self.node_blocks))
 
     def assemble(self, element_blocks: Sequence[Array], node_blocks: Array) -> Array:
         """Blocks (b, 9) from those of elements (pairs, 3, 3, m), one per stencil, and of nodes (n, 3, 3)."""
@@ -77,6 +78,14 @@ class Pattern(eqx.Module):
         strict = jnp.where(self.rows == self.indices, 0.0, own)
         product = upper.at[self.indices].add(strict * x[self.rows])
         return product + self.contact_product(values, x)
+
+    def separate(self, values: Array) -> Array:
+        """Own entries (nnz,) of a sheet whose parts do not know of one another: what contact takes from them
+        because it gives it back by the blocks between them is left out. For preconditioners."""
+        own = values[: self.nnz]
+        if self.contact is None:
+            return own
+        return own.at[self.diagonal].add(jnp.repeat(self.contact.lift(values[self.nnz :]), 3))
 
     def expand(self, values: Array) -> Array:
         """Rows of 3x3 blocks (n, 3, 3k) of the sheet, both triangles: the form for repeated products."""

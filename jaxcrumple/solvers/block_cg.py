@@ -33,8 +33,9 @@ class BlockCG(AbstractLinearSolver):
         return Factor(identity_values(pattern), unit_blocks(pattern, self.block_size), jnp.asarray(0))
 
     def factor(self, pattern: Pattern, values: Array, previous: Factor) -> Factor:
-        """Invert the diagonal blocks; one that is not positive definite proves the matrix indefinite."""
-        lower, sound = block_factors(pattern, values, self.block_size)
+        """Invert the diagonal blocks of the sheet's own part; where one is not positive definite, the matrix
+        is taken for indefinite."""
+        lower, sound = block_factors(pattern, pattern.separate(values), self.block_size)
         return Factor(values, _inverses(lower), jnp.where(sound, -1, 1))
 
     def solve(
@@ -59,13 +60,14 @@ def unit_blocks(pattern: Pattern, size: int, dtype: Any = float) -> Array:
 
 
 def block_factors(pattern: Pattern, values: Array, size: int) -> tuple[Array, Array]:
-    """Cholesky factors (b, size, size) of the dense diagonal blocks, and whether all are positive definite.
+    """Cholesky factors (b, size, size) of the dense diagonal blocks of a sheet's own `values` (nnz,), and
+    whether all are positive definite.
 
     The last block is filled up with the identity; where one is not definite all factors are the identity.
     """
     total = pattern.diagonal.shape[0]
     count = -(-total // size)
-    row, col, values = pattern.rows, pattern.indices, values[: pattern.nnz]
+    row, col = pattern.rows, pattern.indices
     block = row // size
     inside = block == col // size
     # Entries outside the blocks are sent out of bounds and dropped.

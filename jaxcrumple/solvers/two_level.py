@@ -53,13 +53,15 @@ class TwoLevel(AbstractLinearSolver):
         return Factor(identity_values(pattern), _Levels(blocks, coarse), jnp.asarray(0))
 
     def factor(self, pattern: Pattern, values: Array, previous: Factor) -> Factor:
-        """Invert blocks and coarse matrix; one that is not positive definite proves A indefinite."""
-        lower, sound = block_factors(pattern, values, self.block_size)
+        """Invert blocks and coarse matrix of the sheet's own part; where one is not positive definite, A is
+        taken for indefinite."""
+        own = pattern.separate(values)
+        lower, sound = block_factors(pattern, own, self.block_size)
         blocks = jax.vmap(_inverse_lower)(lower)
         # One after the other, by their data: two batches of LAPACK calls at once (under `vmap`) would hang a
         # machine of two threads, see `largest_eigenvalue`.
         sound = sound & jnp.all(jnp.isfinite(blocks))
-        matrix = coarse_matrix(pattern, values)
+        matrix = coarse_matrix(pattern, own)
         coarse, definite = _coarse_factor(jnp.where(sound, matrix, jnp.eye(matrix.shape[0])))
         levels = _Levels(blocks.astype(jnp.float32), coarse.astype(jnp.float32))
         return Factor(values, levels, jnp.where(sound & definite, -1, 1))
@@ -126,7 +128,8 @@ def _prolong(space: CoarseSpace, weights: Array, y: Array) -> Array:
 
 
 def coarse_matrix(pattern: Pattern, values: Array) -> Array:
-    """Galerkin matrix Z^T A Z (3 size, 3 size), cell by cell from the rows of A.
+    """Galerkin matrix Z^T A Z (3 size, 3 size) of a sheet's own `values` (nnz,), cell by cell from the rows
+    of A.
 
     A row of A times Z meets a window of functions only, whose weights are products of two directions;
     so a cell costs a few small dense products, whatever the mesh.
