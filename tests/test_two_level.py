@@ -7,9 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from folded import folded, strip
 
-from jaxcrumple import Material, disc, radial, rectangle, sheet
+from jaxcrumple import Material, SelfContact, disc, radial, rectangle, sheet, with_contacts
 from jaxcrumple.model.coarse import build_coarse_space
+from jaxcrumple.model.geometry import curvature
 from jaxcrumple.solvers.block_cg import BlockCG
 from jaxcrumple.solvers.two_level import TwoLevel, coarse_matrix
 from jaxcrumple.system import elastic_tangent
@@ -177,3 +179,33 @@ def test_factorisations_wait_for_each_other():
         if inputs & behind or (not behind and "triangular_solve" in text):
             behind.update(equation.outvars)
     assert found == [False, True]
+
+
+@pytest.mark.parametrize("solver", [TwoLevel(), BlockCG()], ids=["two-level", "block-cg"])
+def test_layers_that_press_one_another_are_not_taken_for_unstable(solver):
+    gap, sigma = 0.95e-3, 1e-3
+    mesh = strip(gap, columns=(5, 5), rows=7)
+    x = jnp.asarray(folded(mesh, gap, (5, 5)))
+    contact = SelfContact(range=sigma, level=4)
+    scene = with_contacts(sheet(mesh, Material(thickness=3e-4, yield_curvature=None), contact=contact), x)
+    creased = curvature(scene.bending.hinges(x).theta)
+    scene = eqx.tree_at(lambda s: s.bending.rest_curvature, scene, creased)
+    pattern = scene.pattern
+
+    def matrices(shift):
+        values = eqx.filter_jit(elastic_tangent)(scene, x, None, jnp.asarray(0.0), shift)
+        own = jax.vmap(eqx.tree_at(lambda p: p.contact, pattern, None).product, (None, 0))
+        unit = jnp.eye(3 * mesh.n_nodes)
+        parts = own(values[: pattern.nnz], unit), own(pattern.separate(values), unit)
+        return values, jax.vmap(pattern.product, (None, 0))(values, unit), *parts
+
+    mass = float(jnp.min(scene.mass))
+    lowest = float(jnp.linalg.eigvalsh(matrices(0.0)[1])[0])
+    values, whole, alone, separate = matrices(-3.0 * lowest / mass)
+    low = [float(jnp.linalg.eigvalsh(matrix)[0]) for matrix in (whole, alone, separate)]
+    assert low[0] > 0 > low[1] and low[2] > 0
+    rhs = jnp.asarray(np.random.default_rng(0).normal(size=3 * mesh.n_nodes))
+    negative, solution = solve(solver, pattern, values, rhs, 1e-6)
+    assert int(negative) <= 0 and not bool(solution.indefinite)
+    left = rhs - whole @ solution.x
+    assert jnp.linalg.norm(left) < 1.1e-6 * jnp.linalg.norm(rhs)
