@@ -234,24 +234,28 @@ def parts_of_a_step(scene: Scene, state: State) -> dict[str, float]:
     step, x = next_equations(scene, state)
     linear = integrator().implicit.linear
     value, values = eqx.filter_jit(linearize)(scene, step, x)
-    start = eqx.filter_jit(linear.start)(scene.pattern)
     fresh = iter(range(1, 10**6))
 
     @eqx.filter_jit
-    def factor(values):
-        return linear.factor(scene.pattern, values, start)
-
-    made = factor(values)
+    def factor(values, last):
+        return linear.factor(scene.pattern, values, last)
 
     @eqx.filter_jit
-    def solve(rhs):
-        return linear.solve(scene.pattern, made, made.values, rhs, 1e-3).x
+    def solve(last, rhs):
+        return linear.solve(scene.pattern, last, last.values, rhs, 1e-3).x
+
+    # As in a run: each factor from the last one, which the library makes over.
+    made = [eqx.filter_jit(linear.start)(scene.pattern)]
+
+    def factored():
+        made[0] = factor(values * (1.0 + 1e-12 * next(fresh)), made[0])
+        return made[0].negative
 
     tangent, plain, parts = (eqx.filter_jit(f) for f in (linearize, residual, energies))
     calls = {
         "tangent": lambda: tangent(scene, step, x),
-        "factor": lambda: factor(values * (1.0 + 1e-12 * next(fresh))),
-        "solve": lambda: solve(-value.reshape(-1)),
+        "factor": factored,
+        "solve": lambda: solve(made[0], -value.reshape(-1)),
         "residual": lambda: plain(scene, step, x),
         "energies": lambda: parts(scene, state.x, state.v, state.p, state.t),
     }

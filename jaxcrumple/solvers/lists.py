@@ -100,9 +100,10 @@ def largest_move(
     """Share of the way to `ahead` (n, 3) that one step may go, less where the way is not `known` from steps
     before: lists for more would hold too much."""
     assert scene.contact is not None and lists is not None
-    sigma = scene.contact.range
-    free = jnp.maximum(STRIDE * sigma, scene.contact.calm)
-    stride = jnp.where(lists.near.pair_count > 0, STRIDE * sigma, free)
+    contact, sigma = scene.contact, scene.contact.range
+    free = jnp.maximum(STRIDE * sigma, contact.calm)
+    meets = (lists.near.pair_count > 0) & ~contact.apart(x, ahead, APART_AHEAD)
+    stride = jnp.where(meets, STRIDE * sigma, free)
     most = jnp.where(known, stride, UNKNOWN * sigma)
     return jnp.minimum(most / jnp.maximum(jnp.max(motion(x, ahead)), 1e-300), 1.0)
 
