@@ -35,6 +35,8 @@ CHUNK = 1.0
 # A call of `integrate` takes so many seconds, or as long as so many attempts: each starts by making lists and
 # a factor again, and reports and checkpoints wait for its end.
 CALL, SHORTEST = 8.0, 32.0
+# Calls in turn that wait for a list and make no attempt: more than each list can double.
+MOST_WAITS = 100
 _integrate = eqx.filter_jit(integrate)
 
 ENERGIES = ("stretch", "bending", "contact", "confinement", "gravity", "extra", "kinetic")
@@ -265,14 +267,17 @@ def _advance(
     budget: _Budget,
     renewal: Renewal | None,
 ) -> tuple[Scene, State]:
-    rows, told = [], time.perf_counter()
+    rows, told, waits = [], time.perf_counter(), 0
     while float(state.t) < t_stop:
-        left = budget.left(state)
+        left, made = budget.left(state), _attempts(state)
         if left <= 0:
             state = eqx.tree_at(lambda s: s.result, state, RESULTS.budget)
         else:
             state, log = _integrate(scene, state, as_float(t_stop), solver, as_float(left))
             rows.append(np.asarray(log.rows[: int(log.length)]))
+            waits = waits + 1 if _attempts(state) == made else 0
+        if waits > MOST_WAITS and _name(state) == "success":
+            state = eqx.tree_at(lambda s: s.result, state, RESULTS.collapsed)
         over = _name(state) != "success" or float(state.t) >= t_stop
         if over or time.perf_counter() - told > CHUNK:
             _tell(watchers, state, np.concatenate([_NO_ROWS, *rows]), frames)

@@ -14,6 +14,7 @@ from jaxcrumple.model.geometry import curvature
 from jaxcrumple.model.near import Room
 from jaxcrumple.renewal import Renewal, _with_candidates, _with_room
 from jaxcrumple.solvers.lists import renewed, start_lists
+from jaxcrumple.solvers.log import empty_log
 from jaxcrumple.system import IMPLICIT
 
 SIGMA, COLUMNS = 0.5e-3, (5, 5)
@@ -60,13 +61,28 @@ def test_a_run_cut_anywhere_goes_on_to_the_same_bits(monkeypatch):
 def test_lists_with_room_for_one_grow_and_change_no_bit(monkeypatch):
     scene, state = pressed_layers()
     roomy = jc.simulate(scene, state, 1.0, max_attempts=48).state
-    monkeypatch.setattr("jaxcrumple.renewal.ROOM_PER_NODE", (0.0, 0.0, 0.0, 0.0))
+    for name in ("ROOM_PER_NODE", "SMALLEST_ROOM"):
+        monkeypatch.setattr(f"jaxcrumple.renewal.{name}", (0, 0, 0, 0))
     # They are filled before the run compiles, with room to spare.
     once = eqx.filter_jit(eqx.debug.assert_max_traces(jc.integrate, max_traces=1))
     monkeypatch.setattr(importlib.import_module("jaxcrumple.simulate"), "_integrate", once)
     narrow = jc.simulate(scene, state, 1.0, max_attempts=48).state
     np.testing.assert_array_equal(narrow.x, roomy.x)
     np.testing.assert_array_equal(narrow.v, roomy.v)
+
+
+def test_lists_that_never_fit_end_in_a_named_result(monkeypatch):
+    scene, state = pressed_layers()
+    module = importlib.import_module("jaxcrumple.simulate")
+
+    def waiting(scene, state, *_):
+        """A call that wants longer lists, whatever it gets."""
+        return eqx.tree_at(lambda s: s.listing.needed, state, state.listing.needed + 1), empty_log(1)
+
+    monkeypatch.setattr(module, "_integrate", waiting)
+    solution = jc.simulate(scene, state, 1.0)
+    assert solution.result == "collapsed"
+    np.testing.assert_array_equal(solution.state.x, state.x)
 
 
 @pytest.mark.parametrize("short", range(4))
