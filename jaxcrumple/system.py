@@ -27,8 +27,9 @@ class RESULTS(eqx.Enumeration):  # type: ignore[misc]
     success = "the run reached its end time"
     budget = "the budget of step attempts or of wall time was used up before the end time; resume to go on"
     collapsed = (
-        "the step size fell below what float64 resolves in every stage the scheme has, or no lists of contact "
-        "held for a step; the last good state is kept. Look at the causes of rejection, and try another scheme, a smaller rtol or more drag"
+        "the step size fell below what float64 resolves in every stage the scheme has, or no lists of "
+        "contact held for a step; the last good state is kept. Look at the causes of rejection, and try "
+        "another scheme, a smaller rtol or more drag"
     )
     blocked = (
         "no step, however short, keeps the sheet from passing through itself or a wall; the last good state "
