@@ -252,11 +252,11 @@ class Contact(eqx.Module):
         """Whether parts of the sheet might touch while nodes go straight from `start` to `end` (n, 3)."""
         return crosses(self, start, end)
 
-    def covers(self, x: Array) -> Array:
+    def covers(self, x: Array, start: Array | None = None) -> Array:
         """Whether the lists hold for positions `x` (n, 3): no node moved further than they allow for, or no
-        list is needed."""
+        list is needed there, nor on the straight way from `start` (n, 3)."""
         listed = self.candidates.around.covers(x) & self.near.covers(x)
-        return jax.lax.cond(listed, lambda: listed, lambda: self.apart(x, x))
+        return jax.lax.cond(listed, lambda: listed, lambda: self.apart(x if start is None else start, x))
 
     def apart(self, start: Array, end: Array, share: float = APART) -> Array:
         """Whether the sheet meets itself nowhere on a straight way from `start` to `end` (n, 3); False where

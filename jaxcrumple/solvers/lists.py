@@ -100,10 +100,9 @@ def largest_move(
     """Share of the way to `ahead` (n, 3) that one step may go, less where the way is not `known` from steps
     before: lists for more would hold too much."""
     assert scene.contact is not None and lists is not None
-    contact, sigma = scene.contact, scene.contact.range
-    free = jnp.maximum(STRIDE * sigma, contact.calm)
-    meets = (lists.near.pair_count > 0) & ~contact.apart(x, ahead, APART_AHEAD)
-    stride = jnp.where(meets, STRIDE * sigma, free)
+    sigma = scene.contact.range
+    free = jnp.maximum(STRIDE * sigma, scene.contact.calm)
+    stride = jnp.where(lists.near.pair_count > 0, STRIDE * sigma, free)
     most = jnp.where(known, stride, UNKNOWN * sigma)
     return jnp.minimum(most / jnp.maximum(jnp.max(motion(x, ahead)), 1e-300), 1.0)
 
@@ -115,7 +114,7 @@ def ready_for(
     so many m; where not, what is due before.
 
     All follows from the state alone, also where pairs have no place in the matrix: the state then says so and
-    waits for the host. Where the sheet meets itself nowhere, any lists do.
+    waits for the host. Empty lists do where the sheet meets itself nowhere.
     """
     contact, listing = listed(scene, lists).contact, state.listing
     assert contact is not None and listing is not None and lists is not None
@@ -124,9 +123,13 @@ def ready_for(
     spare = jnp.clip(differs, SLACK * contact.range, MOST_SLACK * contact.range)
     candidates, near = _wide(contact, state.x, moved, spare), _close(contact, state.x, ahead, moved, spare)
     known = _made(lists)
-    apart = contact.apart(state.x, ahead, APART_AHEAD)
+    apart = jax.lax.cond(
+        lists.near.pair_count == 0,
+        lambda: contact.apart(state.x, ahead, APART_AHEAD),
+        lambda: jnp.asarray(False),
+    )
     blunt = contact.sharpest(scene.bending.hinges(state.x).theta) < DUE_TURN
-    wide = known & ~apart & ~(listing.candidates.covers(ahead, spare) & blunt)
+    wide = known & ~((listing.candidates.covers(ahead, spare) | apart) & blunt)
     holds = listing.near.covers(state.x) & listing.near.covers(ahead, spare)
     loose = jnp.mean(listing.near.reach) > LOOSE * jnp.mean(near.reach)
     close = wide | (known & ~apart & (loose | ~holds))
@@ -197,9 +200,5 @@ def passes(scene: Scene, state: State, x: Array, t: Array) -> Array:
     contact = scene.contact
     if contact is None:
         return through
-
-    def crosses() -> Array:
-        sharp = contact.sharpest(scene.bending.hinges(x).theta) > MOST_TURN
-        return ~contact.covers(x) | sharp | contact.crosses(state.x, x)
-
-    return through | jax.lax.cond(contact.apart(state.x, x), lambda: jnp.asarray(False), crosses)
+    sharp = contact.sharpest(scene.bending.hinges(x).theta) > MOST_TURN
+    return through | ~contact.covers(x, state.x) | sharp | contact.crosses(state.x, x)
