@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from folded import folded, layer_of, strip
+from lattice import held
 from scipy.optimize import brentq
 
 import jaxcrumple as jc
@@ -28,6 +29,14 @@ def scene(mesh, floor=-FAR, ceiling=FAR, gravity=0.0, sinks=0.0, drag=1e4, level
     walls = [jc.Plane(UP, floor), jc.Plane(-UP, jc.Ramp(-ceiling, sinks))]
     contact = jc.SelfContact(range=SIGMA, level=level)
     return jc.sheet(mesh, material, walls=walls, gravity=(0.0, 0.0, -gravity), contact=contact)
+
+
+def pushed(mesh, x, speed):
+    """A fold whose lower layer is held and whose upper layer's edge goes down, in m/s."""
+    upper, edge = layer_of(mesh) == 1, mesh.vertices[:, 0] == mesh.vertices[:, 0].max()
+    support = held(np.repeat(~upper | edge, 3).reshape(-1, 3), x, np.where(edge[:, None], -speed * UP, 0.0))
+    material = jc.Material(thickness=THICKNESS, density=DENSITY, yield_curvature=None, drag_rate=1e4)
+    return jc.sheet(mesh, material, contact=jc.SelfContact(range=SIGMA, level=2), prescribed=support)
 
 
 def creased(sheet, x, stiffness=1.0):
@@ -182,3 +191,22 @@ def test_planes_that_leave_no_room_end_in_a_named_result():
     end = solution.state
     assert count_intersections(mesh, end.x) == 0
     assert all(float(wall.gap(end.x, end.t).min()) > 0 for wall in crushed.walls)
+
+
+@pytest.mark.slow
+def test_prescribed_motion_through_the_sheet_ends_in_a_named_result():
+    mesh = strip(2.0 * SIGMA)
+    x, edge = folded(mesh, 2.0 * SIGMA), mesh.vertices[:, 0] == mesh.vertices[:, 0].max()
+    sheet, ends = pushed(mesh, x, 0.1), {}
+    for linear in ("direct", "two-level"):
+        solver = jc.integrator(rtol=1e-3, scheme="dynamic", linear=linear)
+        ends[linear] = ran(sheet, x, [1.4 * SIGMA / 0.1, 2.5 * SIGMA / 0.1], solver=solver)
+    for solution in ends.values():
+        assert solution.result in ("blocked", "collapsed")
+        assert count_intersections(mesh, solution.state.x) == 0
+        # The edge has come close to the layer below, not to the middle between it and where it began.
+        assert 0 < np.mean(solution.state.x[edge, 2]) + 0.5 * 2.0 * SIGMA < 0.6 * SIGMA
+        assert solution.history["contact"].iloc[-1] > 0
+    # Both solvers press the fold to the same shape on the way.
+    one, two = (solution.x[0] for solution in ends.values())
+    assert np.abs(one - two).max() < 1e-3 * np.ptp(x[:, 0])
