@@ -62,9 +62,9 @@ def dyad(a: Array, b: Array) -> Array:
 
 def gather(x: Array, nodes: Array) -> tuple[Vec, ...]:
     """Node positions `x` (n, 3) of elements `nodes` (m, k), as k vectors of components (m,)."""
-    components = (x[:, 0], x[:, 1], x[:, 2])
-    columns = [nodes[:, k] for k in range(nodes.shape[1])]
-    return tuple((components[0][c], components[1][c], components[2][c]) for c in columns)
+    # One gather for all: in kernels of their own they take twice as long, and to compile too.
+    parts = x.T[:, nodes.T]
+    return tuple((parts[0, k], parts[1, k], parts[2, k]) for k in range(nodes.shape[1]))
 
 
 def unpack(x: Array) -> tuple[Vec, ...]:
