@@ -25,6 +25,7 @@ from jaxcrumple.solvers.lists import (
     start_lists,
     state_lists,
     waits,
+    without_places,
 )
 from jaxcrumple.solvers.log import STEP, Log, append, empty_log
 from jaxcrumple.solvers.newton import must_restore
@@ -77,6 +78,7 @@ def integrate(
 
     **Returns:** the new `State` and the `Log` of this call.
     """
+    scene = scene if solver.one_matrix else without_places(scene)
     state, lists = start_lists(scene, state)
     start_h = jnp.where(state.h > 0, state.h, jnp.minimum(solver.first_step, solver.max_step))
     known = jnp.any(state.stage == jnp.asarray(solver.stages))

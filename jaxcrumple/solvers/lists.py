@@ -42,6 +42,13 @@ class Lists(NamedTuple):
     due: Array
 
 
+def without_places(scene: Scene) -> Scene:
+    """The scene for a solver that does without one matrix, and so without places in it to wait for."""
+    if scene.pattern.contact is None or scene.pattern.contact.merged is None:
+        return scene
+    return eqx.tree_at(lambda s: s.pattern.contact.merged, scene, None)
+
+
 def start_lists(scene: Scene, state: State) -> tuple[State, Lists | None]:
     """Lists that are due, and the state, which needs no others yet."""
     contact, listing = scene.contact, state.listing
