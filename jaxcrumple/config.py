@@ -193,4 +193,5 @@ def _validated(model: type[BaseModel], values: Mapping[str, Any]) -> Any:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise ConfigError(f"{where} = {first.get('input')!r}: {first['msg']}.") from error
+        place = f"{where} = {first.get('input')!r}: " if where else ""
+        raise ConfigError(f"{place}{first['msg'].removeprefix('Value error, ')}.") from error

@@ -8,16 +8,15 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from jaxcrumple.model.fans import PLACED_TURN
+from jaxcrumple.model.fields import is_known
 from jaxcrumple.model.merger import Merger
 from jaxcrumple.model.near import Around, Candidates, Room, no_candidates, no_neighbors
 from jaxcrumple.model.neighbors import find_near
 from jaxcrumple.model.scene import Scene, with_near
 from jaxcrumple.model.search import Search
-from jaxcrumple.system import State, first_listing
+from jaxcrumple.system import State, check_positions, first_listing
 
 _find_near = eqx.filter_jit(find_near)
-# Reach in ranges of the first list of sites.
-FIRST = 0.25
 # First room of the lists: for each node, pairs of triangles that may meet, those near or with a place in the
 # matrix, sites there, and pairs. In a fine mesh the next neighbours of all triangles are among the first.
 # What a crumple to a third of its size needs fits; more costs each step, for lists are written whole.
@@ -47,8 +46,8 @@ class Renewal:
         self.room = Room(*(max(new, before) for new, before in zip(rooms[1:], old, strict=True)))
         self.places = 2 * self.room.triangles
 
-    def __call__(self, scene: Scene, state: State) -> tuple[Scene, State]:
-        """Scene and state for the next call of `integrate`, where the last one stopped for a list."""
+    def __call__(self, scene: Scene, state: State) -> Scene:
+        """The scene for the next call of `integrate`, where the last one stopped for a list."""
         listing = state.listing
         assert listing is not None
         needed = np.asarray(listing.needed)
@@ -56,11 +55,10 @@ class Renewal:
             scene = self.grown(scene, needed)
         if bool(listing.stale):
             scene = self.placed(scene, listing.matrix)
-        served = (jnp.asarray(False), jnp.zeros_like(listing.needed))
-        return scene, eqx.tree_at(lambda s: (s.listing.stale, s.listing.needed), state, served)
+        return scene
 
-    def first(self, scene: Scene, state: State) -> tuple[Scene, State]:
-        """Scene and state for the first call of `integrate`: a saved state finds the lists it had."""
+    def first(self, scene: Scene, state: State) -> Scene:
+        """The scene for the first call of `integrate`: a saved state finds the lists it had."""
         listing = state.listing
         assert listing is not None
         scene = self.placed(scene, listing.matrix)
@@ -73,7 +71,7 @@ class Renewal:
         assert scene.contact is not None
         if int(scene.contact.candidates.count) == 0:
             return scene
-        around = Around(x, jnp.full(scene.n_nodes, FIRST * scene.contact.range))
+        around = first_listing(scene.contact, x).near
         while True:
             assert scene.contact is not None
             near = _find_near(scene.contact, around)
@@ -131,18 +129,31 @@ def _with_candidates(scene: Scene, size: int) -> Scene:
     return eqx.tree_at(lambda s: s.contact.candidates, scene, no_candidates(scene.n_nodes, ways, size))
 
 
-def with_contacts(scene: Scene, x: ArrayLike) -> Scene:
-    """The scene with its lists of contact made for positions `x` (n, 3) in m.
+def with_contacts(scene: Scene, x: ArrayLike, needed: ArrayLike | None = None) -> Scene:
+    """The scene with its lists of contact made for positions `x` (n, 3) in m, on the host.
 
     Energies, forces and tangents of a self-avoiding scene hold near the positions that its lists were made
     for, and are NaN elsewhere; `simulate` makes its own. `integrate`, also under `vmap`, makes new ones on
-    its way, and stops where they grow longer than these (`state.listing.needed`) or where a direct solver's
-    matrix lacks a place (`state.listing.stale`). A scene without contact is returned as it is.
+    its way, and stops, with the result "success" before its end time, where they grow longer than these
+    (`state.listing.needed`) or where a direct solver's matrix lacks a place (`state.listing.stale`). Both are
+    mended by `with_contacts(scene, state.x, state.listing.needed)`, of a batch the largest numbers. A scene
+    without contact is returned as it is.
+
+    **Arguments:** `needed` (4,): pairs of triangles, sites and pairs of sites that are near, and pairs of
+    triangles that may meet, for which there must be room.
+
+    **Raises:** ValueError for positions of another shape or not finite, or inside a function that JAX traces.
     """
     contact = scene.contact
     if contact is None:
         return scene
-    around = first_listing(contact, jnp.asarray(x, float)).candidates
+    if not is_known(x, scene.mass):
+        raise ValueError("with_contacts looks at positions on the host: call it outside jit, grad and vmap.")
+    check_positions("x", x, scene.n_nodes)
+    listing = first_listing(contact, jnp.asarray(x, float))
     renewal = Renewal(scene, merged=True)
-    scene = renewal.searched(_with_room(scene, renewal.room), around)
-    return renewal.filled(renewal.placed(scene, around), around.x)
+    scene = renewal.searched(_with_room(scene, renewal.room), listing.candidates)
+    if needed is not None and np.any(needed):
+        scene = renewal.grown(scene, np.asarray(needed))
+        scene = renewal.searched(scene, listing.candidates)
+    return renewal.filled(renewal.placed(scene, listing.matrix), listing.near.x)

@@ -37,6 +37,8 @@ CHUNK = 1.0
 CALL, SHORTEST = 8.0, 32.0
 # Calls in turn that wait for a list and make no attempt: more than each list can double.
 MOST_WAITS = 100
+# Layers that start closer than this many ranges lie in one another.
+CLOSEST = 1e-6
 _integrate = eqx.filter_jit(integrate)
 
 ENERGIES = ("stretch", "bending", "contact", "confinement", "gravity", "extra", "kinetic")
@@ -148,7 +150,8 @@ def simulate(
         renewal = None
         if scene.contact is not None:
             renewal = Renewal(scene, solver.one_matrix)
-            scene, state = renewal.first(scene, state)
+            scene = renewal.first(scene, state)
+            _check_gap(scene, state)
         compile_s = _compile(scene, state, solver)
         start = time.perf_counter()
         budget = _Budget(state, max_attempts, max_seconds)
@@ -195,6 +198,19 @@ def _check_start(scene: Scene, state: State) -> None:
         raise ValueError(
             f"the sheet starts passing through itself at {len(pierced)} places: edge ({a}, {b}) pierces "
             f"triangle {tuple(face)}; start from positions without intersections, or leave contact out."
+        )
+
+
+def _check_gap(scene: Scene, state: State) -> None:
+    """Refuse a start in which layers lie so deep in one another that forces point nowhere."""
+    contact = scene.contact
+    assert contact is not None
+    gap = float(contact.gaps(state.x)[0])
+    least = float(CLOSEST * contact.range if contact.core is None else contact.core)
+    if gap <= least:
+        raise ValueError(
+            f"the sheet starts {gap:.3g} m from itself; contact of range {float(contact.range):.3g} m needs "
+            f"more than {least:.3g} m. Start from layers farther apart, or take another range."
         )
 
 
@@ -285,7 +301,7 @@ def _advance(
         if over:
             break
         if renewal is not None:
-            scene, state = renewal(scene, state)
+            scene = renewal(scene, state)
     return scene, state
 
 

@@ -9,12 +9,15 @@ import scipy.sparse as sparse
 from jax import Array
 
 from jaxcrumple.model.contact import Contact
+from jaxcrumple.model.fields import is_known
 from jaxcrumple.model.geometry import curvature
 from jaxcrumple.model.loads import Prescribed
 from jaxcrumple.model.near import Around
 from jaxcrumple.model.plasticity import implicit_update
 from jaxcrumple.model.scene import Scene
 
+# Reach in ranges of the first list of sites.
+FIRST = 0.25
 # Points the multistep history holds: BDF5 and the predictor that its error estimate needs.
 HISTORY = 6
 QUASISTATIC, IMPLICIT, EXPLICIT = 0, 1, 2
@@ -33,7 +36,8 @@ class RESULTS(eqx.Enumeration):  # type: ignore[misc]
     )
     blocked = (
         "no step, however short, keeps the sheet from passing through itself or a wall; the last good state "
-        "is kept. The prescribed motion leaves no room, or a start lies in contact too deep"
+        "is kept. The prescribed motion leaves no room, or a start lies in contact too deep, or layers meet "
+        "faster than the penalty stops them: try contact by a barrier, a finer mesh, or more drag"
     )
     intersected = (
         "the sheet passes through itself in the last frame, which contact should have prevented; please "
@@ -41,7 +45,7 @@ class RESULTS(eqx.Enumeration):  # type: ignore[misc]
     )
     nonfinite = (
         "forces are not finite in the current state; it is kept as it was. Look for zero-length "
-        "edges or a parameter that is NaN"
+        "edges, layers within the core of a barrier, or a parameter that is NaN"
     )
 
 
@@ -138,11 +142,7 @@ def initial_state(scene: Scene, x: Array, v: Array | None = None, *, window: int
     x = jnp.asarray(x, float)
     v = jnp.zeros_like(x) if v is None else jnp.asarray(v, float)
     for name, value in (("x", x), ("v", v)):
-        if value.shape != (scene.n_nodes, 3):
-            raise ValueError(f"{name} has shape {value.shape}; it must be ({scene.n_nodes}, 3).")
-        bad = np.flatnonzero(~np.all(np.isfinite(value), axis=1))
-        if bad.size:
-            raise ValueError(f"{name} of node {bad[0]} is {np.asarray(value[bad[0]])}; it must be finite.")
+        check_positions(name, value, scene.n_nodes)
     # Explicit types: weakly typed leaves would make the second call of a program compile again.
     zero, nought = jnp.asarray(0, int), jnp.asarray(0.0, float)
     p = None if scene.plasticity is None else scene.bending.rest_curvature
@@ -164,10 +164,26 @@ def initial_state(scene: Scene, x: Array, v: Array | None = None, *, window: int
     )
 
 
+def check_positions(name: str, value: Any, nodes: int) -> None:
+    """Refuse what is not three finite numbers for each node.
+
+    **Raises:** ValueError that names the first node in question.
+    """
+    if np.shape(value) != (nodes, 3):
+        raise ValueError(f"{name} has shape {np.shape(value)}; it must be ({nodes}, 3).")
+    if not is_known(value):
+        return
+    array = np.asarray(value)
+    bad = np.flatnonzero(~np.all(np.isfinite(array), axis=1))
+    if bad.size:
+        raise ValueError(f"{name} of node {bad[0]} is {array[bad[0]]}; it must be finite.")
+
+
 def first_listing(contact: Contact, x: Array) -> Listing:
     """Where a run that starts at positions `x` (n, 3) searches."""
     around = Around(x, jnp.broadcast_to(contact.calm, x.shape[0]))
-    return Listing(around, around, around, jnp.asarray(False), jnp.zeros(4, int))
+    near = Around(x, jnp.minimum(around.reach, FIRST * contact.range))
+    return Listing(around, near, around, jnp.asarray(False), jnp.zeros(4, int))
 
 
 def check_state(scene: Scene, state: State) -> None:
@@ -182,6 +198,13 @@ def check_state(scene: Scene, state: State) -> None:
         kinds = ("an elastic", "a plastic") if state.p is None else ("a plastic", "an elastic")
         raise ValueError(f"the state is of {kinds[0]} scene, the scene is {kinds[1]} one; {cure}")
     hinges = scene.bending.rest_curvature.shape
+    if (state.listing is None) != (scene.contact is None):
+        kinds = (
+            ("a phantom", "a self-avoiding") if state.listing is None else ("a self-avoiding", "a phantom")
+        )
+        raise ValueError(f"the state is of {kinds[0]} scene, the scene is {kinds[1]} one; {cure}")
+    for name, value in (("x", state.x), ("v", state.v)):
+        check_positions(f"the state's {name}", value, scene.n_nodes)
     if state.p is not None and state.p.shape != hinges:
         raise ValueError(f"the state has {state.p.shape[0]} hinges, the scene {hinges[0]}; {cure}")
 

@@ -5,11 +5,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from folded import folded, strip
 
 from jaxcrumple import (
     LinearMotion,
     Material,
     Prescribed,
+    SelfContact,
     Sphere,
     Switch,
     elastic_tangent,
@@ -19,6 +21,7 @@ from jaxcrumple import (
     relax,
     sheet,
     simulate,
+    with_contacts,
 )
 from jaxcrumple.meshgen import rectangle
 from jaxcrumple.solvers.choice import direct_available
@@ -154,3 +157,50 @@ def test_whole_numbers_compile_to_the_same_program():
         leaves = [jax.tree.leaves(eqx.filter(tree, eqx.is_array)) for tree in (whole, part)]
         for a, b in zip(*leaves, strict=True):
             assert (a.dtype, a.weak_type) == (b.dtype, b.weak_type)
+
+
+@pytest.mark.parametrize(
+    ("contact", "message"),
+    [
+        ("penalty", r"contact = 'penalty' must be SelfContact\(\.\.\.\), or None"),
+        (SelfContact(range="1e-3"), "contact range = '1e-3' m must be a positive length"),
+        (SelfContact(range=[1e-3]), r"contact range = \[0.001\] m must be a positive length"),
+        (SelfContact(level=1.5), "contact level = 1.5 must be a whole number from 0 on; leave it out for"),
+        (SelfContact(level=True), "contact level = True must be a whole number"),
+    ],
+)
+def test_contact_that_is_none_is_refused(contact, message):
+    with pytest.raises(ValueError, match=message):
+        sheet(MESH, Material(), contact=contact)
+
+
+def test_positions_that_are_none_are_refused_before_a_search():
+    made, x = sheet(MESH, Material(), contact=SelfContact()), MESH.vertices
+    with pytest.raises(ValueError, match=r"x has shape \(39, 3\); it must be \(40, 3\)"):
+        with_contacts(made, x[1:])
+    with pytest.raises(ValueError, match=r"x of node 3 is \[nan nan nan\]; it must be finite"):
+        with_contacts(made, np.where(np.arange(40)[:, None] == 3, np.nan, x))
+    with pytest.raises(ValueError, match="call it outside jit, grad and vmap"):
+        jax.jit(lambda x: with_contacts(made, x).contact.energy(x))(jnp.asarray(x))
+
+
+def test_states_of_phantoms_and_of_sheets_with_contact_are_told_apart():
+    made = [sheet(MESH, Material(), contact=contact) for contact in (None, SelfContact())]
+    states = [initial_state(scene, MESH.vertices) for scene in made]
+    with pytest.raises(ValueError, match="the state is of a phantom scene, the scene is a self-avoiding one"):
+        simulate(made[1], states[0], 0.1)
+    with pytest.raises(ValueError, match="the state is of a self-avoiding scene, the scene is a phantom one"):
+        simulate(made[0], states[1], 0.1)
+    lost = eqx.tree_at(lambda s: s.x, states[1], states[1].x.at[7].set(jnp.nan))
+    with pytest.raises(ValueError, match="the state's x of node 7 is"):
+        simulate(made[1], lost, 0.1)
+
+
+def test_layers_that_start_in_one_another_are_refused():
+    mesh = strip(1e-3)
+    made = sheet(mesh, Material(), contact=SelfContact(range=5e-4, level=2))
+    flat = folded(mesh, 1e-3) * [1.0, 1.0, 0.0]
+    with pytest.raises(
+        ValueError, match=r"the sheet starts .* m from itself; contact of range 0.0005 m needs"
+    ):
+        simulate(made, initial_state(made, flat), 0.1)

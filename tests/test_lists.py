@@ -90,7 +90,7 @@ def test_a_list_that_is_too_short_is_the_one_that_grows(short):
     """Pairs of triangles near, sites there, pairs of sites, and pairs of triangles that may meet."""
     scene, state = pressed_layers()
     renewal = Renewal(scene, merged=True)
-    scene, state = renewal.first(scene, state)
+    scene = renewal.first(scene, state)
     contact = scene.contact
     assert contact is not None
     sizes = [*contact.near.needed.tolist(), int(contact.candidates.count)]

@@ -8,6 +8,7 @@ import pytest
 from folded import brute_force, folded, strip
 
 import jaxcrumple as jc
+from jaxcrumple.model.contact import CLOSER
 
 SIGMA, PARTS = 0.5e-3, 4
 
@@ -140,3 +141,25 @@ def test_barrier_is_infinite_before_layers_touch():
     assert 0 < float(scene.contact.energy(x)) < np.inf
     _, scene, x = layers(0.1, potential="barrier", level=None)
     assert np.isinf(scene.contact.energy(x))
+
+
+def test_stiffness_bound_next_to_the_core_of_a_barrier():
+    _, scene, _ = layers(0.9, potential="barrier", level=None)
+    core = float(scene.contact.core) / SIGMA
+    _, scene, x = layers(core + 0.04, potential="barrier", level=None)
+    gap = float(scene.contact.gaps(x)[0])
+    assert scene.contact.core < gap < scene.contact.core / CLOSER
+    bound = scene.contact.stiffness_bound(x)
+    for seed in range(10):
+        way = jnp.asarray(np.random.default_rng(seed).normal(size=x.shape))
+        _, change = jax.jvp(scene.contact.force, (x,), (way,))
+        assert 0 < -jnp.sum(way * change) < jnp.sum(bound[:, None] * way * way)
+
+
+def test_lists_have_the_room_that_is_asked_for_and_change_nothing():
+    _, scene, x = layers()
+    wider = jc.with_contacts(scene, x, needed=[3000, 100_000, 200_000, 100_000])
+    near = wider.contact.near
+    assert np.all(np.array(near.room) >= [3000, 100_000, 200_000])
+    assert wider.contact.candidates.triangles.shape[0] >= 100_000
+    assert float(wider.contact.energy(x)) == float(scene.contact.energy(x))

@@ -182,7 +182,7 @@ class Contact(eqx.Module):
 
         def add(total: Array, contact: "Contact", x: Array, pairs: "_Pairs") -> Array:
             _, distance = _separation(pairs, x)
-            closer = CLOSER * distance
+            closer = contact._closer(distance)
             most = jnp.maximum(jnp.abs(contact._stiffness(closer)), jnp.abs(contact._slope(closer) / closer))
             parts = 2.0 * jnp.abs(pairs.weights) * (pairs.strength * most)[:, None]
             return total.at[pairs.nodes].add(parts)
@@ -195,6 +195,11 @@ class Contact(eqx.Module):
         _, distance = _separation(pairs, x)
         active = (pairs.strength > 0) & (distance < self.range)
         return jnp.min(jnp.where(active, distance, jnp.inf)), jnp.sum(active)
+
+    def _closer(self, distance: Array) -> Array:
+        """What motion may leave of distances: no less than halfway to where a barrier is infinite."""
+        closer = CLOSER * distance
+        return closer if self.core is None else jnp.maximum(closer, 0.5 * (self.core + distance))
 
     def _potential(self, distance: Array) -> Array:
         return pair_energy(distance, self.stiffness, self.range, self.core)
@@ -286,6 +291,10 @@ def _separation(pairs: _Pairs, x: Array) -> tuple[Array, Array]:
     return jnp.stack(r, axis=1), jnp.sqrt(dot(r, r) + TINY)
 
 
+def _is_number(value: Any) -> bool:
+    return np.ndim(value) == 0 and np.issubdtype(np.asarray(value).dtype, np.number)
+
+
 def build_contact(mesh: Mesh, constants: ModelConstants, options: SelfContact) -> Contact:
     """Contact of a sheet; its stiffness is the mean spring constant.
 
@@ -295,7 +304,7 @@ def build_contact(mesh: Mesh, constants: ModelConstants, options: SelfContact) -
     if options.potential not in get_args(Potential):
         known = ", ".join(get_args(Potential))
         raise ValueError(f"contact potential {options.potential!r} is unknown; choose one of {known}.")
-    if not (np.isfinite(sigma) and sigma > 0):
+    if not (_is_number(sigma) and np.isfinite(sigma) and sigma > 0):
         raise ValueError(f"contact range = {sigma!r} m must be a positive length; leave it out for h_eff.")
     barrier = options.potential == "barrier"
     longest = float(mesh.edge_length.max())
@@ -305,8 +314,11 @@ def build_contact(mesh: Mesh, constants: ModelConstants, options: SelfContact) -
     parts = longest / (BARRIER_SPACING * sigma) if barrier else penalty
     needed = max(int(np.ceil(parts)) - 1, 0)
     level = needed if options.level is None else options.level
-    if level < 0:
-        raise ValueError(f"contact level = {level!r} must be 0 or more; leave it out for {needed}.")
+    if not isinstance(level, int | np.integer) or isinstance(level, bool) or level < 0:
+        raise ValueError(
+            f"contact level = {level!r} must be a whole number from 0 on; leave it out for {needed}, whose "
+            "sites are about a range apart."
+        )
     core = CORE * longest / (level + 1)
     if barrier and core > WIDEST_CORE * sigma:
         raise ValueError(

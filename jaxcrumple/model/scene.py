@@ -118,6 +118,8 @@ def sheet(
     if damping not in ("central", "paper"):
         raise ValueError(f"damping={damping!r} is unknown; choose 'central' or 'paper'.")
     _check_surroundings(mesh, walls, gravity, prescribed)
+    if contact is not None and not isinstance(contact, SelfContact):
+        raise ValueError(f"contact = {contact!r} must be SelfContact(...), or None for a phantom sheet.")
     constants = material.discretize(mesh)
     edges, hinges = jnp.asarray(mesh.edges), jnp.asarray(mesh.hinges)
     mass = jnp.asarray(constants.mass)

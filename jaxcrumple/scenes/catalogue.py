@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, Literal, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from jaxcrumple.model.contact import Potential
 from jaxcrumple.scenes.arch import arch
@@ -40,6 +40,13 @@ class RadialOptions(BaseModel):
     contact: Potential | None = "penalty"
     contact_range: float | None = Field(None, gt=0, allow_inf_nan=False)
     contact_level: int | None = Field(None, ge=0, le=200)
+
+    @model_validator(mode="after")
+    def _of_a_contact(self) -> "RadialOptions":
+        given = [name for name in ("contact_range", "contact_level") if getattr(self, name) is not None]
+        if self.contact is None and given:
+            raise ValueError(f"{given[0]} is of no use to a phantom sheet; leave it or contact=none out")
+        return self
 
 
 class SnapOptions(BaseModel):

@@ -54,7 +54,9 @@ def start_lists(scene: Scene, state: State) -> tuple[State, Lists | None]:
     contact, listing = scene.contact, state.listing
     if contact is None or listing is None:
         return state, None
-    state = eqx.tree_at(lambda s: s.listing.needed, state, jnp.zeros_like(listing.needed))
+    # What a call stopped for is the caller's to mend; where it is not, this call stops for it again.
+    served = (jnp.zeros_like(listing.stale), jnp.zeros_like(listing.needed))
+    state = eqx.tree_at(lambda s: (s.listing.stale, s.listing.needed), state, served)
     lists = Lists(contact.candidates, contact.near, listing.candidates, listing.near, jnp.asarray(True))
     return state, lists
 
