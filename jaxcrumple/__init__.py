@@ -19,17 +19,8 @@ from jaxcrumple.solvers.relax import relax
 from jaxcrumple.solvers.scheme import Integrator, integrator
 from jaxcrumple.solvers.solve import linear_solve
 from jaxcrumple.solvers.switch import Switch
-from jaxcrumple.system import (
-    RESULTS,
-    State,
-    elastic_tangent,
-    energies,
-    force,
-    initial_state,
-    mass_matrix,
-    potential_energy,
-    tangent,
-)
+from jaxcrumple.state import RESULTS, State, initial_state
+from jaxcrumple.system import elastic_tangent, energies, force, mass_matrix, potential_energy, tangent
 
 __all__ = [
     "RESULTS",

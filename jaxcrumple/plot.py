@@ -34,7 +34,7 @@ from jaxcrumple.measure.creases import plastic_curvature
 from jaxcrumple.measure.strain import positions
 from jaxcrumple.mesh import FloatArray, Mesh
 from jaxcrumple.solvers.log import AFTER, STEP
-from jaxcrumple.system import STAGES
+from jaxcrumple.state import STAGES
 
 CURVATURE_LABEL = "mean curvature $H$ [1/m]"
 DIVERGING = "RdBu_r"  # red is convex seen from the side of the face normals

@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from jaxcrumple.simulate import ENERGIES, explain
-from jaxcrumple.system import STAGES, State
+from jaxcrumple.state import STAGES, State
 
 # Seconds between lines where the output is not a terminal.
 INTERVAL = 10.0

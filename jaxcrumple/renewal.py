@@ -14,7 +14,7 @@ from jaxcrumple.model.near import Around, Candidates, Room, no_candidates, no_ne
 from jaxcrumple.model.neighbors import find_near
 from jaxcrumple.model.scene import Scene, with_near
 from jaxcrumple.model.search import Search
-from jaxcrumple.system import State, check_positions, first_listing
+from jaxcrumple.state import State, check_positions, first_listing
 
 _find_near = eqx.filter_jit(find_near)
 # First room of the lists: for each node, pairs of triangles that may meet, those near or with a place in the

@@ -24,8 +24,8 @@ from jaxcrumple.model.scene import Scene
 from jaxcrumple.scenes import Setup
 from jaxcrumple.simulate import Observer, Solution, frame_times, simulate
 from jaxcrumple.solvers.scheme import Integrator
+from jaxcrumple.state import STAGES, State, initial_state
 from jaxcrumple.summary import physics
-from jaxcrumple.system import STAGES, State, initial_state
 
 PACKAGES = ("jaxcrumple", "jax", "jaxlib", "numpy", "scipy", "diffrax", "equinox")
 

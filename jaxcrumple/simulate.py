@@ -18,16 +18,7 @@ from jaxcrumple.renewal import Renewal
 from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.log import AFTER, BEFORE, Row
 from jaxcrumple.solvers.scheme import Integrator, integrator
-from jaxcrumple.system import (
-    CAUSES,
-    EXPLICIT,
-    IMPLICIT,
-    QUASISTATIC,
-    RESULTS,
-    STAGES,
-    State,
-    check_state,
-)
+from jaxcrumple.state import CAUSES, EXPLICIT, IMPLICIT, QUASISTATIC, RESULTS, STAGES, State, check_state
 from jaxcrumple.threads import limited_blas
 
 # Seconds between reports to observers where calls of `integrate` are shorter.

@@ -14,7 +14,8 @@ from jaxcrumple.mesh import Mesh
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.renewal import with_contacts
 from jaxcrumple.scenes import Setup
-from jaxcrumple.system import CAUSES, QUASISTATIC, State, energies
+from jaxcrumple.state import CAUSES, QUASISTATIC, State
+from jaxcrumple.system import energies
 
 _energies = eqx.filter_jit(energies)
 

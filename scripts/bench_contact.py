@@ -26,7 +26,8 @@ from jaxcrumple.model.neighbors import find_near
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.renewal import Renewal, with_contacts
 from jaxcrumple.solvers.newton import FORCING
-from jaxcrumple.system import State, linearize
+from jaxcrumple.state import State
+from jaxcrumple.system import linearize
 from jaxcrumple.threads import limited_blas
 
 # Times of the states in s: R = 7.1 cm - 1 cm/s t.

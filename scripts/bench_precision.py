@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 from jaxcrumple import cap, frame_times, initial_state, integrator, radial, simulate
 from jaxcrumple.model.scene import Scene
-from jaxcrumple.system import State
+from jaxcrumple.state import State
 
 # Schemes with their linear solvers; None is the scheme's own.
 COMPARED = (

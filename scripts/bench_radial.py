@@ -14,7 +14,7 @@ from benchlib import RTOLS, Log, markdown, options, save, timed_run
 from matplotlib.figure import Figure
 
 from jaxcrumple import frame_times, initial_state, integrator, radial
-from jaxcrumple.system import CAUSES
+from jaxcrumple.state import CAUSES
 
 T_END, FRAMES = 3.7, 37
 SCHEMES = ("hybrid", "alternating")

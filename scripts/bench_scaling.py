@@ -35,7 +35,8 @@ from matplotlib.figure import Figure
 
 from jaxcrumple import integrator
 from jaxcrumple.model.scene import Scene
-from jaxcrumple.system import State, linearize, residual
+from jaxcrumple.state import State
+from jaxcrumple.system import linearize, residual
 from jaxcrumple.threads import limited_blas
 
 STEPS = 50

@@ -25,7 +25,8 @@ jax.config.update("jax_enable_x64", True)
 from jaxcrumple import Integrator, Solution, initial_state, integrator, radial, simulate  # noqa: E402
 from jaxcrumple.model.geometry import curvature  # noqa: E402
 from jaxcrumple.model.scene import Scene  # noqa: E402
-from jaxcrumple.system import ImplicitStep, State, energies, linearize, residual  # noqa: E402
+from jaxcrumple.state import ImplicitStep, State  # noqa: E402
+from jaxcrumple.system import energies, linearize, residual  # noqa: E402
 
 RESULTS = Path(__file__).parent / "results"
 # Moments of `radial`: before the first buckling, once buckled, and crumpled (R = 7.05, 6.3 and 4.5 cm).

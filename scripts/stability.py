@@ -39,7 +39,7 @@ from jaxcrumple.scenes.radial import smooth_imperfection
 from jaxcrumple.simulate import explain
 from jaxcrumple.solvers.log import STEP
 from jaxcrumple.solvers.scheme import REFERENCE_SHARE, Integrator
-from jaxcrumple.system import restart_history
+from jaxcrumple.state import restart_history
 
 SIZE, START, END = 0.1, 0.071, 0.05
 FRAMES, COMPARED = 20, 5

@@ -11,7 +11,7 @@ from jaxcrumple.model.scene import sheet
 from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.scheme import integrator
 from jaxcrumple.solvers.switch import Switch
-from jaxcrumple.system import RESULTS
+from jaxcrumple.state import RESULTS
 
 SPACING = 1e-3
 ROW = np.sqrt(3) / 2 * SPACING

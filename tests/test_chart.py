@@ -9,7 +9,7 @@ from scipy.spatial.distance import pdist
 
 import jaxcrumple as jc
 from jaxcrumple.model.chart import build_chart
-from jaxcrumple.system import IMPLICIT
+from jaxcrumple.state import IMPLICIT
 
 SIDE, ANGLE = 0.1, 1.0
 

@@ -12,7 +12,7 @@ from jaxcrumple.io import CheckpointError, load_checkpoint, save_checkpoint
 from jaxcrumple.material import Material
 from jaxcrumple.meshgen import hexagonal
 from jaxcrumple.model.scene import sheet
-from jaxcrumple.system import RESULTS, initial_state
+from jaxcrumple.state import RESULTS, initial_state
 
 
 class Part(eqx.Module):

@@ -15,7 +15,7 @@ from jaxcrumple.model.scene import sheet
 from jaxcrumple.simulate import simulate
 from jaxcrumple.solvers.relax import relax
 from jaxcrumple.solvers.scheme import integrator
-from jaxcrumple.system import initial_state
+from jaxcrumple.state import initial_state
 
 NODES = 60
 # The linear solver needs no extra.

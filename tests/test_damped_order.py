@@ -8,7 +8,7 @@ import pytest
 from jaxcrumple import Material, initial_state, radial, simulate
 from jaxcrumple.solvers.bdf import REACH, coefficients, damped_order
 from jaxcrumple.solvers.scheme import integrator
-from jaxcrumple.system import HISTORY
+from jaxcrumple.state import HISTORY
 
 ORDERS = (3, 4, 5)
 _coefficients = jax.jit(coefficients)

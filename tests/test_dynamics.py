@@ -13,7 +13,8 @@ from jaxcrumple.model.scene import sheet
 from jaxcrumple.simulate import simulate
 from jaxcrumple.solvers.explicit import stability_limit
 from jaxcrumple.solvers.scheme import integrator
-from jaxcrumple.system import EXPLICIT, IMPLICIT, QUASISTATIC, energies, initial_state, tangent
+from jaxcrumple.state import EXPLICIT, IMPLICIT, QUASISTATIC, initial_state
+from jaxcrumple.system import energies, tangent
 
 strip = functools.cache(strip_scene)
 STAGE = {"explicit": EXPLICIT, "dynamic": IMPLICIT, "quasistatic": QUASISTATIC, "paper": QUASISTATIC}

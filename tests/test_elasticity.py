@@ -11,7 +11,8 @@ from scipy.optimize import brentq
 from jaxcrumple.mesh import Mesh
 from jaxcrumple.model.scene import sheet
 from jaxcrumple.solvers.relax import relax
-from jaxcrumple.system import initial_state, tangent
+from jaxcrumple.state import initial_state
+from jaxcrumple.system import tangent
 
 ANGLES = np.radians([0.0, 7.0, 15.0, 22.0, 30.0])
 

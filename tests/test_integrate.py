@@ -22,7 +22,7 @@ from jaxcrumple.solvers.explicit import stability_limit
 from jaxcrumple.solvers.integrate import LIMIT_EVERY, integrate
 from jaxcrumple.solvers.scheme import SCHEMES, integrator
 from jaxcrumple.solvers.switch import Switch
-from jaxcrumple.system import EXPLICIT, IMPLICIT, QUASISTATIC, STAGES, initial_state
+from jaxcrumple.state import EXPLICIT, IMPLICIT, QUASISTATIC, STAGES, initial_state
 
 NODES = 60
 # The start is over at 3 ms; the wall makes the sheet snap at 9 ms, and it is calm again at 19 ms.

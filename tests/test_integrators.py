@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 from jaxcrumple.solvers import bdf
 from jaxcrumple.solvers.explicit import RK43
 from jaxcrumple.solvers.implicit import GROWTH
-from jaxcrumple.system import HISTORY, History
+from jaxcrumple.state import HISTORY, History
 
 # --- BDF: coefficients ---------------------------------------------------------------------------
 

@@ -24,7 +24,8 @@ from jaxcrumple.solvers.direct import Direct
 from jaxcrumple.solvers.relax import relax
 from jaxcrumple.solvers.solve import linear_solve
 from jaxcrumple.solvers.two_level import TwoLevel
-from jaxcrumple.system import elastic_tangent, initial_state, tangent
+from jaxcrumple.state import initial_state
+from jaxcrumple.system import elastic_tangent, tangent
 
 needs_direct = pytest.mark.skipif(not direct_available(), reason="needs the extra `direct`")
 ITERATIVE = [pytest.param(BlockCG(), id="block-cg"), pytest.param(TwoLevel(), id="two-level")]

@@ -15,7 +15,7 @@ from jaxcrumple.model.near import Room
 from jaxcrumple.renewal import Renewal, _with_candidates, _with_room
 from jaxcrumple.solvers.lists import renewed, start_lists
 from jaxcrumple.solvers.log import empty_log
-from jaxcrumple.system import IMPLICIT
+from jaxcrumple.state import IMPLICIT
 
 SIGMA, COLUMNS = 0.5e-3, (5, 5)
 

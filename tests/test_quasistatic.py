@@ -17,16 +17,8 @@ from jaxcrumple.model.confinement import Ramp, Sphere
 from jaxcrumple.model.loads import AbstractMotion, Prescribed
 from jaxcrumple.model.scene import sheet
 from jaxcrumple.solvers.bdf import coefficients
-from jaxcrumple.system import (
-    HISTORY,
-    QUASISTATIC,
-    History,
-    implicit_step,
-    initial_state,
-    linearize,
-    residual,
-    tangent,
-)
+from jaxcrumple.state import HISTORY, QUASISTATIC, History, implicit_step, initial_state
+from jaxcrumple.system import linearize, residual, tangent
 
 C0, GAMMA = 0.3, 1.0
 

@@ -19,7 +19,8 @@ from jaxcrumple.scenes.snap import fixed
 from jaxcrumple.simulate import simulate
 from jaxcrumple.solvers.relax import relax
 from jaxcrumple.solvers.scheme import integrator
-from jaxcrumple.system import energies, force, initial_state, tangent
+from jaxcrumple.state import initial_state
+from jaxcrumple.system import energies, force, tangent
 
 NODES = {"arch": 198, "cap": 200}
 BUILD = {"arch": arch, "cap": cap}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxcrumple.solvers import bdf
-from jaxcrumple.system import HISTORY
+from jaxcrumple.state import HISTORY
 
 _two_step = jax.jit(bdf.two_step)
 _coefficients = jax.jit(bdf.coefficients)

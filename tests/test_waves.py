@@ -12,7 +12,8 @@ from scipy.sparse.linalg import eigsh
 from jaxcrumple.meshgen import rectangle
 from jaxcrumple.model.scene import sheet
 from jaxcrumple.solvers.explicit import STABILITY, largest_eigenvalue, stability_limit
-from jaxcrumple.system import initial_state, mass_matrix, tangent
+from jaxcrumple.state import initial_state
+from jaxcrumple.system import mass_matrix, tangent
 
 # RK4 is stable on the imaginary axis up to 2 sqrt 2.
 RK4_LIMIT = np.sqrt(8.0)

@@ -30,7 +30,7 @@ from jaxcrumple.io.frames import Frame
 from jaxcrumple.io.table import Table
 from jaxcrumple.mesh import Mesh
 from jaxcrumple.solvers.log import Row
-from jaxcrumple.system import STAGES
+from jaxcrumple.state import STAGES
 
 FORMAT, VERSION = "jaxcrumple-run", 1
 _NUMBERS = {"t", "h", "acceleration", "acceleration_mean", "error"}

@@ -12,7 +12,8 @@ from jaxcrumple.model.loads import LinearMotion, Prescribed
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.scenes.radial import Setup
 from jaxcrumple.solvers.relax import Relaxed, relax
-from jaxcrumple.system import State, energies, initial_state
+from jaxcrumple.state import State, initial_state
+from jaxcrumple.system import energies
 
 _energies = eqx.filter_jit(energies)
 

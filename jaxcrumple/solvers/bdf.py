@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from jaxcrumple.system import HISTORY, History
+from jaxcrumple.state import HISTORY, History
 
 
 def _lags(h: Array, steps: Array) -> Array:

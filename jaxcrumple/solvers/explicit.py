@@ -16,7 +16,8 @@ from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.geometry import gather, hinge_gradient, length, outer, sub
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.lists import passes
-from jaxcrumple.system import CAUSES, State, rates
+from jaxcrumple.state import CAUSES, State
+from jaxcrumple.system import rates
 
 # Stability of the method on the imaginary axis (2.83) and on the negative real axis (2.79).
 STABILITY = 2.75

@@ -12,16 +12,8 @@ from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.log import AFTER, BEFORE, Log, Row, append
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.solvers.switch import fresh_monitor, has_settled, wants_inertia
-from jaxcrumple.system import (
-    CAUSES,
-    EXPLICIT,
-    IMPLICIT,
-    NEVER,
-    QUASISTATIC,
-    State,
-    energies,
-    restart_history,
-)
+from jaxcrumple.state import CAUSES, EXPLICIT, IMPLICIT, NEVER, QUASISTATIC, State, restart_history
+from jaxcrumple.system import energies
 
 # A quasistatic step below this share of the explicit stability limit hands over: to integrate the
 # motion is cheaper then. Not 1, because a start at low order may need a few steps that short.

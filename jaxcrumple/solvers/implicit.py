@@ -11,7 +11,7 @@ from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
 from jaxcrumple.solvers.lists import passes
 from jaxcrumple.solvers.newton import NewtonSolution
-from jaxcrumple.system import CAUSES, IMPLICIT, Linearization, State
+from jaxcrumple.state import CAUSES, IMPLICIT, Linearization, State
 
 # Largest growth of the step after a step of order 1 ... 5: below what variable-step BDF tolerates
 # without losing zero-stability (1.62 and 1.28 at orders 3 and 4).

@@ -31,13 +31,7 @@ from jaxcrumple.solvers.log import STEP, Log, append, empty_log
 from jaxcrumple.solvers.newton import must_restore
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.solvers.switch import observe
-from jaxcrumple.system import (
-    CAUSES,
-    EXPLICIT,
-    RESULTS,
-    Counters,
-    State,
-)
+from jaxcrumple.state import CAUSES, EXPLICIT, RESULTS, Counters, State
 
 # Cost units: a call ends after BUDGET units, so that its caller can save, and reports in between.
 BUDGET = 4096

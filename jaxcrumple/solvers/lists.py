@@ -15,7 +15,7 @@ from jaxcrumple.model.grid import find_candidates
 from jaxcrumple.model.near import Around, Candidates, Near, motion
 from jaxcrumple.model.neighbors import find_near
 from jaxcrumple.model.scene import Scene, with_near
-from jaxcrumple.system import NEVER, Listing, State
+from jaxcrumple.state import NEVER, Listing, State
 
 # How far, in ranges, a node may move in a step, less the mean motion; and in a step without any before
 # it. Where nothing is near it may be as far as a flat sheet's neighbours do not appear, if that is more.

@@ -10,7 +10,8 @@ from jax import Array
 from jaxcrumple.model.fields import select
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
-from jaxcrumple.system import NEVER, ImplicitStep, Linearization, linearize, residual
+from jaxcrumple.state import NEVER, ImplicitStep, Linearization
+from jaxcrumple.system import linearize, residual
 
 # An iteration that grows by more than this factor has left the basin of the root.
 DIVERGENCE = 2.0

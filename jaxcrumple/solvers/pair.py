@@ -11,7 +11,8 @@ from jaxcrumple.solvers.bdf import coefficients, extrapolation
 from jaxcrumple.solvers.implicit import LOCAL_SHARE, AbstractImplicit, Attempt, aligns, judge, resized
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
 from jaxcrumple.solvers.newton import FORCING, NewtonSolution, newton
-from jaxcrumple.system import ImplicitStep, State, implicit_step, residual
+from jaxcrumple.state import ImplicitStep, State, implicit_step
+from jaxcrumple.system import residual
 
 # The paper's orders, and the points of its predictor.
 ORDER, PREDICTOR_POINTS = 4, 4

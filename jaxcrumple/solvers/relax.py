@@ -10,7 +10,8 @@ from jax import Array
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.choice import choose_linear_solver
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
-from jaxcrumple.system import State, check_state, elastic_tangent, force, potential_energy, restart_history
+from jaxcrumple.state import State, check_state, restart_history
+from jaxcrumple.system import elastic_tangent, force, potential_energy
 
 # The shift is a pseudo inertia: m * shift is added to the stiffness. It starts at SHIFT_START times
 # the largest spring frequency squared, shrinks after a success and grows after a failure.

@@ -15,7 +15,7 @@ from jaxcrumple.solvers.linear import AbstractLinearSolver
 from jaxcrumple.solvers.pair import BDFPair
 from jaxcrumple.solvers.switch import Switch
 from jaxcrumple.solvers.variable_order import VariableOrder
-from jaxcrumple.system import EXPLICIT, IMPLICIT, QUASISTATIC
+from jaxcrumple.state import EXPLICIT, IMPLICIT, QUASISTATIC
 
 Scheme = Literal["hybrid", "dynamic", "alternating", "quasistatic", "explicit", "paper"]
 SCHEMES = get_args(Scheme)

@@ -10,7 +10,7 @@ from jax import Array
 
 from jaxcrumple.model.fields import as_float, is_known
 from jaxcrumple.model.scene import Scene
-from jaxcrumple.system import IMPLICIT, QUASISTATIC, Monitor
+from jaxcrumple.state import IMPLICIT, QUASISTATIC, Monitor
 
 Measure = Literal["displacement", "acceleration"]
 

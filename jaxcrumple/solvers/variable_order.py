@@ -21,7 +21,8 @@ from jaxcrumple.solvers.implicit import (
 )
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
 from jaxcrumple.solvers.newton import FORCING, newton
-from jaxcrumple.system import CAUSES, IMPLICIT, ImplicitStep, State, implicit_step, residual
+from jaxcrumple.state import CAUSES, IMPLICIT, ImplicitStep, State, implicit_step
+from jaxcrumple.system import residual
 
 # A change of order must promise a step longer by this factor.
 ORDER_GAIN = 1.1
