@@ -25,7 +25,7 @@ SWITCH_UP, SWITCH_DOWN = 3.0, 1.0
 # Share of the tolerance that the local error of a step with inertia may use: in a snap, which forgets most
 # of what its steps leave behind; and where inertia is on throughout, what keeps the error of a run below
 # rtol at order 2.
-SNAP_SHARE, REFERENCE_SHARE = 0.1, 0.002
+SNAP_SHARE, REFERENCE_SHARE = 0.1, 0.0008
 
 
 class Integrator(eqx.Module):
