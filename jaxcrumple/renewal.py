@@ -4,7 +4,6 @@ full."""
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from numpy.typing import ArrayLike
 
 from jaxcrumple.model.fans import PLACED_TURN
@@ -63,15 +62,15 @@ class Renewal:
         assert listing is not None
         scene = self.placed(scene, listing.matrix)
         scene = self.searched(_with_room(scene, self.room), listing.candidates)
-        return self(self.filled(scene, state.x), state)
+        assert scene.contact is not None
+        return self(self.filled(scene, first_listing(scene.contact, state.x).near), state)
 
-    def filled(self, scene: Scene, x: Array) -> Scene:
-        """The scene with lists for positions `x` (n, 3), grown until they fit: an own program that compiles
-        faster than a run does."""
+    def filled(self, scene: Scene, around: Around) -> Scene:
+        """The scene with lists for motions, grown until they fit: an own program that compiles faster than a
+        run does."""
         assert scene.contact is not None
         if int(scene.contact.candidates.count) == 0:
             return scene
-        around = first_listing(scene.contact, x).near
         while True:
             assert scene.contact is not None
             near = _find_near(scene.contact, around)
@@ -129,7 +128,7 @@ def _with_candidates(scene: Scene, size: int) -> Scene:
     return eqx.tree_at(lambda s: s.contact.candidates, scene, no_candidates(scene.n_nodes, ways, size))
 
 
-def with_contacts(scene: Scene, x: ArrayLike, needed: ArrayLike | None = None) -> Scene:
+def with_contacts(scene: Scene, x: ArrayLike, needed: ArrayLike = (0, 0, 0, 0)) -> Scene:
     """The scene with its lists of contact made for positions `x` (n, 3) in m, on the host.
 
     Energies, forces and tangents of a self-avoiding scene hold near the positions that its lists were made
@@ -152,8 +151,5 @@ def with_contacts(scene: Scene, x: ArrayLike, needed: ArrayLike | None = None) -
     check_positions("x", x, scene.n_nodes)
     listing = first_listing(contact, jnp.asarray(x, float))
     renewal = Renewal(scene, merged=True)
-    scene = renewal.searched(_with_room(scene, renewal.room), listing.candidates)
-    if needed is not None and np.any(needed):
-        scene = renewal.grown(scene, np.asarray(needed))
-        scene = renewal.searched(scene, listing.candidates)
-    return renewal.filled(renewal.placed(scene, listing.matrix), listing.near.x)
+    scene = renewal.searched(renewal.grown(scene, np.asarray(needed)), listing.candidates)
+    return renewal.filled(renewal.placed(scene, listing.matrix), listing.near)

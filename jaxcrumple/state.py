@@ -171,7 +171,7 @@ class State(eqx.Module):
     stage: Array
     listing: Listing | None
     history: History
-    kept: "Linearization"
+    kept: Linearization
     monitor: Monitor
     counters: Counters
     result: RESULTS
@@ -244,17 +244,15 @@ def check_state(scene: Scene, state: State) -> None:
     cure = "start from initial_state(scene, x) of the same scene."
     if state.x.shape != (scene.n_nodes, 3):
         raise ValueError(f"the state has positions {state.x.shape}, the scene {scene.n_nodes} nodes; {cure}")
-    if (state.p is None) != (scene.plasticity is None):
-        kinds = ("an elastic", "a plastic") if state.p is None else ("a plastic", "an elastic")
-        raise ValueError(f"the state is of {kinds[0]} scene, the scene is {kinds[1]} one; {cure}")
-    hinges = scene.bending.rest_curvature.shape
-    if (state.listing is None) != (scene.contact is None):
-        kinds = (
-            ("a phantom", "a self-avoiding") if state.listing is None else ("a self-avoiding", "a phantom")
-        )
-        raise ValueError(f"the state is of {kinds[0]} scene, the scene is {kinds[1]} one; {cure}")
+    for kinds, its, wanted in (
+        (("an elastic", "a plastic"), state.p is not None, scene.plasticity is not None),
+        (("a phantom", "a self-avoiding"), state.listing is not None, scene.contact is not None),
+    ):
+        if its != wanted:
+            raise ValueError(f"the state is of {kinds[its]} scene, the scene is {kinds[wanted]} one; {cure}")
     for name, value in (("x", state.x), ("v", state.v)):
         check_positions(f"the state's {name}", value, scene.n_nodes)
+    hinges = scene.bending.rest_curvature.shape
     if state.p is not None and state.p.shape != hinges:
         raise ValueError(f"the state has {state.p.shape[0]} hinges, the scene {hinges[0]}; {cure}")
 

@@ -189,6 +189,7 @@ class Contact(eqx.Module):
 
         return self._sum(x, add, jnp.zeros(x.shape[0], x.dtype))
 
+    @eqx.filter_jit
     def gaps(self, x: Array) -> tuple[Array, Array]:
         """Smallest distance in m of two interacting sites (infinite if none), and how many there are."""
         pairs = self._pairs(self.near.picked, jnp.arange(self.near.picked.shape[0]) < self.near.site_count)
