@@ -12,12 +12,12 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from jaxcrumple.model.fields import as_float
-from jaxcrumple.model.intersections import intersections
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.renewal import Renewal
 from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.log import AFTER, BEFORE, Row
 from jaxcrumple.solvers.scheme import Integrator, integrator
+from jaxcrumple.start import check_gap, check_start, pierced
 from jaxcrumple.state import CAUSES, EXPLICIT, IMPLICIT, QUASISTATIC, RESULTS, STAGES, State, check_state
 from jaxcrumple.threads import limited_blas
 
@@ -28,8 +28,6 @@ CHUNK = 1.0
 CALL, SHORTEST = 8.0, 32.0
 # Calls in turn that wait for a list and make no attempt: more than each list can double.
 MOST_WAITS = 100
-# Layers that start closer than this many ranges lie in one another.
-CLOSEST = 1e-6
 _integrate = eqx.filter_jit(integrate)
 
 ENERGIES = ("stretch", "bending", "contact", "confinement", "gravity", "extra", "kinetic")
@@ -130,7 +128,7 @@ def simulate(
     with contact, passes through itself.
     """
     check_state(scene, state)
-    _check_start(scene, state)
+    check_start(scene, state)
     stops = _checked_times(times, first_frame, float(state.t))
     solver = integrator() if solver is None else solver
     if not isinstance(solver, Integrator):
@@ -142,7 +140,7 @@ def simulate(
         if scene.contact is not None:
             renewal = Renewal(scene, solver.one_matrix)
             scene = renewal.first(scene, state)
-            _check_gap(scene, state)
+            check_gap(scene, state)
         compile_s = _compile(scene, state, solver)
         start = time.perf_counter()
         budget = _Budget(state, max_attempts, max_seconds)
@@ -153,7 +151,7 @@ def simulate(
                 break
             for watcher in watchers:
                 watcher.frame(index, state)
-            if scene.contact is not None and len(_pierced(scene, state.x)):
+            if scene.contact is not None and len(pierced(scene, state.x)):
                 state = eqx.tree_at(lambda s: s.result, state, RESULTS.intersected)
                 break
         run_s = time.perf_counter() - start
@@ -161,48 +159,6 @@ def simulate(
     if throw and solution.result != "success":
         raise SimulationError(solution)
     return solution
-
-
-def _pierced(scene: Scene, x: ArrayLike) -> np.ndarray:
-    """Edges and triangles that intersect, as their nodes (k, 5)."""
-    assert scene.contact is not None
-    faces, edges = np.asarray(scene.contact.faces), np.asarray(scene.membrane.nodes)
-    pairs = intersections(x, faces, edges)
-    return np.concatenate([edges[pairs[:, 0]], faces[pairs[:, 1]]], axis=1)
-
-
-def _check_start(scene: Scene, state: State) -> None:
-    """Refuse a start that no motion leads on from."""
-    for index, wall in enumerate(scene.walls):
-        gap = np.asarray(wall.gap(state.x, state.t))
-        if np.min(gap) < 0:
-            node = int(np.argmin(gap))
-            raise ValueError(
-                f"node {node} starts {-gap[node]:.3g} m behind wall {index} ({type(wall.shape).__name__}); "
-                "move the sheet or the wall."
-            )
-    if scene.contact is None:
-        return
-    pierced = _pierced(scene, state.x)
-    if len(pierced):
-        a, b, *face = pierced[0].tolist()
-        raise ValueError(
-            f"the sheet starts passing through itself at {len(pierced)} places: edge ({a}, {b}) pierces "
-            f"triangle {tuple(face)}; start from positions without intersections, or leave contact out."
-        )
-
-
-def _check_gap(scene: Scene, state: State) -> None:
-    """Refuse a start in which layers lie so deep in one another that forces point nowhere."""
-    contact = scene.contact
-    assert contact is not None
-    gap = float(contact.gaps(state.x)[0])
-    least = float(CLOSEST * contact.range if contact.core is None else contact.core)
-    if gap <= least:
-        raise ValueError(
-            f"the sheet starts {gap:.3g} m from itself; contact of range {float(contact.range):.3g} m needs "
-            f"more than {least:.3g} m. Start from layers farther apart, or take another range."
-        )
 
 
 def frame_times(t_end: float, frames: int) -> np.ndarray:

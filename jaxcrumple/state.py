@@ -225,6 +225,18 @@ def first_listing(contact: Contact, x: Array) -> Listing:
     return Listing(around, near, around, jnp.asarray(False), jnp.zeros(4, int))
 
 
+def restarted(scene: Scene, state: State, x: Array, v: Array) -> State:
+    """The state at other positions `x` (n, 3) in m and velocities `v` (n, 3) in m/s, as if it began there."""
+    history = restart_history(x, v, state.p)
+    listing = None if scene.contact is None else first_listing(scene.contact, x)
+    return eqx.tree_at(
+        lambda s: (s.x, s.v, s.history, s.kept, s.listing),
+        state,
+        (x, v, history, _no_linearization(scene, history), listing),
+        is_leaf=lambda leaf: leaf is None,
+    )
+
+
 def restart_history(x: Array, v: Array, p: Array | None) -> History:
     """History that holds the current point alone, with a velocity that nobody vouches for."""
 

@@ -23,7 +23,6 @@ import sys
 import time
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import numpy as np
 import pandas as pd
@@ -39,7 +38,7 @@ from jaxcrumple.scenes.radial import smooth_imperfection
 from jaxcrumple.simulate import explain
 from jaxcrumple.solvers.log import STEP
 from jaxcrumple.solvers.scheme import REFERENCE_SHARE, Integrator
-from jaxcrumple.state import restart_history
+from jaxcrumple.state import restarted
 
 SIZE, START, END = 0.1, 0.071, 0.05
 FRAMES, COMPARED = 20, 5
@@ -205,8 +204,7 @@ def _shifted(setup: Setup, config: RunConfig, times: np.ndarray, seconds: float)
         np.arange(1, SHIFTS * len(times) + 1) / SHIFTS, np.arange(len(times) + 1), [0.0, *times]
     )
     for number, stop in enumerate(stops, start=1):
-        x = state.x + shift * (-1) ** number
-        state = eqx.tree_at(lambda s: (s.x, s.history), state, (x, restart_history(x, state.v, state.p)))
+        state = restarted(setup.scene, state, state.x + shift * (-1) ** number, state.v)
         left = seconds - (time.perf_counter() - begin)
         state = simulate(setup.scene, state, stop, solver=solver, max_seconds=left).state
         if float(state.t) < stop:

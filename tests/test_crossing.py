@@ -120,6 +120,8 @@ def test_a_start_that_passes_through_itself_is_refused_by_name():
     named = rf"edge \({a}, {b}\) pierces triangle \({', '.join(map(str, mesh.faces[face]))}\)"
     with pytest.raises(ValueError, match=named):
         jc.simulate(scene, jc.initial_state(scene, x), 1e-3)
+    with pytest.raises(ValueError, match=named):
+        jc.relax(scene, jc.initial_state(scene, x), force_tolerance=1e-6)
 
 
 def test_a_start_behind_a_wall_is_refused_by_name():

@@ -119,6 +119,24 @@ def test_two_layers_under_a_thousand_weights_bear_them_by_pressure():
     assert 0.8 * gap < np.median(end[upper, 2]) - np.median(end[~upper, 2]) < 1.1 * gap
 
 
+def test_a_sheet_that_relaxes_upon_itself_comes_to_rest_where_a_run_does():
+    mesh = strip(2.0 * SIGMA)
+    x, upper, load = folded(mesh, 2.0 * SIGMA), layer_of(mesh) == 1, 100.0 * G
+    sheet = creased(scene(mesh, floor=-SIGMA - 0.8 * THICKNESS, gravity=load), x, stiffness=0.02)
+    rest = jc.relax(sheet, jc.initial_state(sheet, x), force_tolerance=1e-9)
+    assert rest.converged and rest.max_force <= 1e-9 and rest.negative == 0
+    # The upper layer has come down by more than lists of contact hold for, and not through the lower one.
+    end = np.asarray(rest.state.x)
+    assert np.max(x[upper, 2] - end[upper, 2]) > 0.8 * SIGMA
+    assert count_intersections(mesh, end) == 0
+    floor = np.asarray(sheet.walls[0].force(rest.state.x, 0.0))[:, 2].sum()
+    assert floor == pytest.approx(load * float(jnp.sum(sheet.mass)), rel=1e-6)
+    assert borne(sheet, end, upper) > 0
+    later = ran(sheet, end, 5e-3)
+    assert sound(mesh, later)
+    assert np.abs(later.x[-1] - end).max() < 1e-6 * SIGMA
+
+
 @pytest.mark.slow
 def test_a_fold_pressed_to_its_range_opens_again():
     mesh = strip(2.0 * SIGMA)

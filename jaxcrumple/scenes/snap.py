@@ -10,6 +10,7 @@ import numpy as np
 from jaxcrumple.material import Material
 from jaxcrumple.model.loads import LinearMotion, Prescribed
 from jaxcrumple.model.scene import Scene
+from jaxcrumple.renewal import with_contacts
 from jaxcrumple.scenes.radial import Setup
 from jaxcrumple.solvers.relax import Relaxed, relax
 from jaxcrumple.state import State, initial_state
@@ -87,7 +88,7 @@ def _rest(scene: Scene, state: State, t, force_tolerance: float) -> Relaxed:
 
 def _stored(scene: Scene, state: State) -> tuple[float, float]:
     """Elastic energy and potential energy in J."""
-    parts = _energies(scene, state.x, state.v, state.p, state.t)
+    parts = _energies(with_contacts(scene, state.x), state.x, state.v, state.p, state.t)
     return float(parts.stretch + parts.bending), float(sum(parts[:-1], jnp.zeros(())))
 
 

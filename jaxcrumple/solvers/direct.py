@@ -34,6 +34,7 @@ class Direct(AbstractLinearSolver):
     """
 
     exact: ClassVar[bool] = True
+    one_matrix: ClassVar[bool] = True
     max_iterations: int = 200
 
     def start(self, pattern: Pattern) -> Factor:

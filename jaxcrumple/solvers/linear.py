@@ -6,7 +6,7 @@ values or on others near them.
 """
 
 import abc
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -32,9 +32,11 @@ class Solution(NamedTuple):
 
 
 class AbstractLinearSolver(eqx.Module):
-    """Contract of a linear solver. `exact` says that one application of a factor solves its system."""
+    """Contract of a linear solver. `exact` says that one application of a factor solves its system,
+    `one_matrix` that it needs the tangent in one matrix, contact included, whose structure the host makes."""
 
     exact: eqx.AbstractClassVar[bool]
+    one_matrix: ClassVar[bool] = False
 
     @abc.abstractmethod
     def start(self, pattern: Pattern) -> Factor:

@@ -8,7 +8,6 @@ from jax import Array
 
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.solvers.choice import choose_linear_solver
-from jaxcrumple.solvers.direct import Direct
 from jaxcrumple.solvers.explicit import Explicit
 from jaxcrumple.solvers.implicit import AbstractImplicit
 from jaxcrumple.solvers.linear import AbstractLinearSolver
@@ -53,8 +52,8 @@ class Integrator(eqx.Module):
 
     @property
     def one_matrix(self) -> bool:
-        """Whether the tangent is wanted in one matrix, contact included, whose structure the host makes."""
-        return self.implicit is not None and isinstance(self.implicit.linear, Direct)
+        """Whether the linear solver wants the tangent in one matrix."""
+        return self.implicit is not None and self.implicit.linear.one_matrix
 
 
 def switch_of(scheme: str, rtol: float, **options: Any) -> Switch:
