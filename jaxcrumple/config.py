@@ -2,7 +2,8 @@
 
 import difflib
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from types import NoneType
+from typing import Any, Literal, get_args
 
 import jax.numpy as jnp
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -194,4 +195,6 @@ def _validated(model: type[BaseModel], values: Mapping[str, Any]) -> Any:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
         place = f"{where} = {first.get('input')!r}: " if where else ""
-        raise ConfigError(f"{place}{first['msg'].removeprefix('Value error, ')}.") from error
+        optional = where in model.model_fields and NoneType in get_args(model.model_fields[where].annotation)
+        said = first["msg"].removeprefix("Value error, ") + (", or none" if optional else "")
+        raise ConfigError(f"{place}{said}.") from error
