@@ -43,6 +43,8 @@ LOG_CAPACITY = BUDGET // IMPLICIT_COST + BUDGET // EXPLICIT_LOG_EVERY + 64
 LIMIT_EVERY = 32
 # Lists of contact are made to hold for this many explicit steps.
 LOOK_AHEAD = 32
+# Rounds of lists and changes of stage, without a step between, after which a call ends.
+MOST_ROUNDS = 64
 # Relative to the time, a step below this is lost to rounding.
 SMALLEST_STEP = 1e-13
 
@@ -56,6 +58,7 @@ class _Carry(NamedTuple):
     handover: Handover
     measured: Array
     spent: Array
+    rounds: Array
     left: Array
     done: Array
 
@@ -83,10 +86,12 @@ def integrate(
     no, nothing = jnp.asarray(False), jnp.asarray(0)
     # A factor serves the steps after its own with solvers whose factors are exact.
     held = jnp.asarray(solver.implicit is None or not solver.implicit.linear.exact)
-    carry = _Carry(state, lists, log, factor, held, stay(state), no, nothing, left, state.t >= t_stop)
+    carry = _Carry(
+        state, lists, log, factor, held, stay(state), no, nothing, nothing, left, state.t >= t_stop
+    )
 
     def stages(carry: _Carry) -> _Carry:
-        carry = _renewed(scene, carry)
+        carry = _renewed(scene, carry._replace(rounds=carry.rounds + 1))
         if solver.implicit is not None:
             carry = _implicit_stages(scene, carry, t_stop, solver)
         if solver.has(EXPLICIT):
@@ -137,7 +142,8 @@ def _is_sound(scene: Scene, state: State) -> Array:
 def _going(carry: _Carry) -> Array:
     room = carry.log.length < LOG_CAPACITY - 4
     sound = (carry.state.result == RESULTS.success) & ~waits(carry.state)
-    return ~carry.done & room & sound & (carry.spent < BUDGET) & (carry.left > 0)
+    going = (carry.spent < BUDGET) & (carry.left > 0) & (carry.rounds < MOST_ROUNDS)
+    return ~carry.done & room & sound & going
 
 
 def _interrupted(carry: _Carry) -> Array:
@@ -156,6 +162,7 @@ def _tried(
         handover=handover,
         measured=carry.measured & ~accepted,
         spent=carry.spent + cost,
+        rounds=jnp.zeros_like(carry.rounds),
         left=carry.left - 1.0,
         done=accepted & lands,
     )

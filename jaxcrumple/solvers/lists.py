@@ -24,6 +24,8 @@ STRIDE, UNKNOWN = 1.0, 0.25
 # that reaches LOOSE times further than steps now need is made anew. All lists have to spare what a step may
 # differ from its prediction, between SLACK and MOST_SLACK ranges: more would hold flat neighbours.
 SEVERAL, WAY, ROOM, SLACK, MOST_SLACK, LOOSE = 4.0, 0.25, 1.2, 0.05, 0.25, 2.0
+# Ranges that a list of sites reaches for the longest step where something is near.
+LONGEST = 1.01 * (MOST_SLACK + 0.5 * ROOM * STRIDE)
 # Reach of a list of candidates: ranges, and steps like the next one; of the latter FEWEST at least, and more
 # only up to FURTHEST ranges, or as far as a flat sheet's neighbours do not appear.
 REACH, STEPS, FEWEST, FURTHEST = 0.35, 16.0, 3.0, 2.0
@@ -33,13 +35,15 @@ PLACED_REACH, PLACED_FEWEST, PLACED_STEPS = 0.75, 2.0, 32.0
 
 class Lists(NamedTuple):
     """What the loop holds: pairs of triangles that are `candidates`, and pairs of sites `near`; for which
-    motions the next ones must be made (`wide`, `close`), and whether that is due, before the next step."""
+    motions the next ones must be made (`wide`, `close`), and whether that is due, before the next step; and
+    whether something was near a longer way, so that the next step must be a short one."""
 
     candidates: Candidates
     near: Near
     wide: Around
     close: Around
     due: Array
+    short: Array
 
 
 def without_places(scene: Scene) -> Scene:
@@ -57,7 +61,8 @@ def start_lists(scene: Scene, state: State) -> tuple[State, Lists | None]:
     # What a call stopped for is the caller's to mend; where it is not, this call stops for it again.
     served = (jnp.zeros_like(listing.stale), jnp.zeros_like(listing.needed))
     state = eqx.tree_at(lambda s: (s.listing.stale, s.listing.needed), state, served)
-    lists = Lists(contact.candidates, contact.near, listing.candidates, listing.near, jnp.asarray(True))
+    due, short = jnp.asarray(True), jnp.asarray(False)
+    lists = Lists(contact.candidates, contact.near, listing.candidates, listing.near, due, short)
     return state, lists
 
 
@@ -98,8 +103,11 @@ def renewed(scene: Scene, state: State, lists: Lists | None) -> tuple[State, Lis
     assert contact is not None and lists is not None
     near = jax.lax.cond(lists.due, lambda: find_near(contact, lists.close), lambda: lists.near)
     needed = jnp.append(near.needed, lists.candidates.count)
-    short = jnp.any(near.overflow) | (lists.candidates.count > lists.candidates.triangles.shape[0])
-    state = eqx.tree_at(lambda s: s.listing.needed, state, jnp.where(short, needed, 0))
+    # A list that is too long for a far step is not worth room: it tells that steps must be shorter.
+    far = jnp.max(lists.close.reach) > LONGEST * contact.range
+    full = jnp.any(near.overflow) & ~far
+    full = full | (lists.candidates.count > lists.candidates.triangles.shape[0])
+    state = eqx.tree_at(lambda s: s.listing.needed, state, jnp.where(full, needed, 0))
     return state, lists._replace(near=near, due=jnp.asarray(False))
 
 
@@ -111,7 +119,7 @@ def largest_move(
     assert scene.contact is not None and lists is not None
     sigma = scene.contact.range
     free = jnp.maximum(STRIDE * sigma, scene.contact.calm)
-    stride = jnp.where(lists.near.pair_count > 0, STRIDE * sigma, free)
+    stride = jnp.where(lists.short | (lists.near.pair_count > 0), STRIDE * sigma, free)
     most = jnp.where(known, stride, UNKNOWN * sigma)
     return jnp.minimum(most / jnp.maximum(jnp.max(motion(x, ahead)), 1e-300), 1.0)
 
@@ -139,7 +147,7 @@ def ready_for(
     )
     blunt = contact.sharpest(scene.bending.hinges(state.x).theta) < DUE_TURN
     wide = known & ~((listing.candidates.covers(ahead, spare) | apart) & blunt)
-    holds = listing.near.covers(state.x) & listing.near.covers(ahead, spare)
+    holds = listing.near.covers(state.x) & listing.near.covers(ahead, spare) & ~jnp.any(lists.near.overflow)
     loose = jnp.mean(listing.near.reach) > LOOSE * jnp.mean(near.reach)
     close = wide | (known & ~apart & (loose | ~holds))
     stale = known & ~close & ~_have_places(scene, lists)
@@ -153,7 +161,9 @@ def ready_for(
     age = jnp.where(stale, NEVER, state.kept.age)
     state = eqx.tree_at(lambda s: (s.listing, s.kept.age), state, (listing, age))
     ready = known & ~close & ~stale
-    lists = lists._replace(wide=listing.candidates, close=listing.near, due=~ready & ~stale)
+    # A list for a short way may be empty: what made the way short counts until a step was tried.
+    short = ~ready & (lists.short | (lists.near.pair_count > 0))
+    lists = lists._replace(wide=listing.candidates, close=listing.near, due=~ready & ~stale, short=short)
     return state, lists, ready
 
 
