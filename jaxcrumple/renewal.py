@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from jaxcrumple.model.fans import PLACED_TURN
 from jaxcrumple.model.fields import is_known
-from jaxcrumple.model.merger import Merger
+from jaxcrumple.model.merger import SOON, Merger, doubled
 from jaxcrumple.model.near import Around, Candidates, Room, no_candidates, no_neighbors
 from jaxcrumple.model.neighbors import find_near
 from jaxcrumple.model.scene import Scene, with_near
@@ -22,9 +22,6 @@ _find_near = eqx.filter_jit(find_near)
 ROOM_PER_NODE = (16, 1, 16, 32)
 # The same at least: sites that meet are as many in a coarse mesh.
 SMALLEST_ROOM = (32_000, 1000, 32_000, 64_000)
-# A list that grows has room for so many times what it must hold: to compile again takes longer than many
-# steps.
-SOON = 1.5
 
 
 class Renewal:
@@ -60,7 +57,7 @@ class Renewal:
         """The scene for the first call of `integrate`: a saved state finds the lists it had."""
         listing = state.listing
         assert listing is not None
-        scene = self.placed(scene, listing.matrix)
+        scene = self.placed(scene, listing.matrix, SOON)
         scene = self.searched(_with_room(scene, self.room), listing.candidates)
         assert scene.contact is not None
         return self(self.filled(scene, first_listing(scene.contact, state.x).near), state)
@@ -81,44 +78,39 @@ class Renewal:
     def grown(self, scene: Scene, needed: np.ndarray) -> Scene:
         """The scene with room for `needed` (4,), each doubled until that fits, or would soon be too small."""
         sizes = zip(self.room, needed[:3], strict=True)
-        self.room = Room(*(_doubled(room, int(SOON * much)) for room, much in sizes))
+        self.room = Room(*(doubled(room, int(SOON * much)) for room, much in sizes))
         if needed[3] > self.candidates:
-            self.candidates = _doubled(self.candidates, int(SOON * needed[3]))
+            self.candidates = doubled(self.candidates, int(SOON * needed[3]))
             scene = _with_candidates(scene, self.candidates)
         return _with_room(scene, self.room)
 
     def searched(self, scene: Scene, around: Around) -> Scene:
         """The scene with candidates for motions."""
         pairs, folded = self.search.find(np.asarray(around.x), np.asarray(around.reach))
-        self.candidates = _doubled(self.candidates, len(pairs))
+        self.candidates = doubled(self.candidates, len(pairs))
         triangles = np.zeros((self.candidates, 2), np.int32)
         triangles[: len(pairs)] = pairs
         count = jnp.asarray(len(pairs), int)
         found = Candidates(jnp.asarray(triangles), count, around, jnp.asarray(folded))
         return eqx.tree_at(lambda s: s.contact.candidates, scene, found)
 
-    def placed(self, scene: Scene, around: Around) -> Scene:
-        """The scene with places in the matrix for all pairs that may meet by motions, if it needs them."""
+    def placed(self, scene: Scene, around: Around, spare: float = 1.0) -> Scene:
+        """The scene with places in the matrix for all pairs that may meet by motions, if it needs them, and
+        for `spare` times as many."""
         if self.merger is None:
             return scene
         pairs, _ = self.search.find(np.asarray(around.x), np.asarray(around.reach), PLACED_TURN)
-        merged = self.merger.merge(pairs, self.places)
+        merged = self.merger.merge(pairs, self.places, spare)
         self.places = merged.keys.shape[0]
         return eqx.tree_at(
             lambda s: s.pattern.contact.merged, scene, merged, is_leaf=lambda leaf: leaf is None
         )
 
 
-def _doubled(size: int, needed: int) -> int:
-    """The size, doubled as often as it takes to be `needed`."""
-    while size < needed:
-        size *= 2
-    return size
-
-
 def _with_room(scene: Scene, room: Room) -> Scene:
     """The scene with empty lists of other sizes."""
-    return with_near(scene, no_neighbors(scene.n_nodes, room))
+    assert scene.contact is not None
+    return with_near(scene, no_neighbors(scene.n_nodes, len(scene.contact.share), room))
 
 
 def _with_candidates(scene: Scene, size: int) -> Scene:

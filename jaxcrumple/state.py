@@ -12,8 +12,8 @@ from jaxcrumple.model.fields import is_known
 from jaxcrumple.model.near import Around
 from jaxcrumple.model.scene import Scene
 
-# Reach in ranges of the first list of sites.
-FIRST = 0.25
+# Reach in ranges of the first list of sites at most, and of the first places in the matrix at least.
+FIRST, FIRST_PLACED = 0.25, 0.75
 # Points the multistep history holds: BDF5 and the predictor that its error estimate needs.
 HISTORY = 6
 QUASISTATIC, IMPLICIT, EXPLICIT = 0, 1, 2
@@ -222,7 +222,8 @@ def first_listing(contact: Contact, x: Array) -> Listing:
     """Where a run that starts at positions `x` (n, 3) searches."""
     around = Around(x, jnp.broadcast_to(contact.calm, x.shape[0]))
     near = Around(x, jnp.minimum(around.reach, FIRST * contact.range))
-    return Listing(around, near, around, jnp.asarray(False), jnp.zeros(4, int))
+    matrix = Around(x, jnp.maximum(around.reach, FIRST_PLACED * contact.range))
+    return Listing(around, near, matrix, jnp.asarray(False), jnp.zeros(4, int))
 
 
 def restarted(scene: Scene, state: State, x: Array, v: Array) -> State:

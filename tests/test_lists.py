@@ -13,7 +13,7 @@ import jaxcrumple as jc
 from jaxcrumple.model.geometry import curvature
 from jaxcrumple.model.near import Room
 from jaxcrumple.renewal import Renewal, _with_candidates, _with_room
-from jaxcrumple.solvers.lists import renewed, start_lists
+from jaxcrumple.solvers.lists import largest_move, ready_for, renewed, start_lists
 from jaxcrumple.solvers.log import empty_log
 from jaxcrumple.state import IMPLICIT
 
@@ -83,6 +83,41 @@ def test_lists_that_never_fit_end_in_a_named_result(monkeypatch):
     solution = jc.simulate(scene, state, 1.0)
     assert solution.result == "collapsed"
     np.testing.assert_array_equal(solution.state.x, state.x)
+
+
+@pytest.mark.parametrize("room", [Room(1, 1, 1), Room(1000, 1000, 1000)], ids=["tight", "roomy"])
+def test_what_is_only_near_a_long_step_makes_it_short_and_needs_no_room(room):
+    """Triangles 5 ranges apart are near if a node may move as far, and the list of a short step is empty."""
+    sigma = 0.02e-3
+    mesh = strip(5.0 * sigma, columns=COLUMNS, rows=4)
+    x = jnp.asarray(mesh.vertices)
+    scene = jc.sheet(mesh, jc.Material(thickness=sigma), contact=jc.SelfContact(range=sigma, level=3))
+    # As in a sheet whose triangles are all as wide as most of these, and which is not flat.
+    calm = jnp.asarray(8.0 * sigma)
+    scene = eqx.tree_at(lambda s: (s.contact.calm, s.contact.chart), scene, (calm, None))
+    renewal = Renewal(scene, merged=False)
+    renewal.room = room
+    state = jc.initial_state(scene, x)
+    scene = renewal.first(scene, state)
+    state, lists = start_lists(scene, state)
+    flight = jnp.where(x[:, :1] > 0, 12.0 * sigma, 0.0) * jnp.asarray([0.0, 0.0, 1.0])
+
+    @eqx.filter_jit
+    def prepared(state, lists):
+        state, lists = renewed(scene, state, lists)
+        share = largest_move(scene, lists, x, x + flight)
+        return *ready_for(scene, state, lists, x + share * flight), share
+
+    shares = []
+    for _ in range(8):
+        state, lists, ready, share = prepared(state, lists)
+        shares.append(float(share))
+        assert not np.any(state.listing.needed)
+        if ready:
+            break
+    assert ready
+    # A node moves 6 ranges against the mean: all at once, and then by one at most.
+    assert shares[0] == 1.0 and shares[-1] == pytest.approx(1.0 / 6.0, rel=1e-6)
 
 
 @pytest.mark.parametrize("short", range(4))

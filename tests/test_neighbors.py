@@ -4,7 +4,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from folded import folded, strip
+from folded import folded, layer_of, strip
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import jaxcrumple as jc
@@ -30,7 +31,7 @@ def layers(level: int, roughness: float, turned: bool):
     reach = SIGMA * rng.uniform(0.02, 0.4, mesh.n_nodes)
     options = jc.SelfContact(range=SIGMA, level=level)
     scene = jc.sheet(mesh, jc.Material(thickness=0.3e-3), contact=options)
-    scene = with_near(scene, no_neighbors(scene.n_nodes, Room(2000, 40000, 400000)))
+    scene = with_near(scene, no_neighbors(scene.n_nodes, len(scene.contact.share), Room(2000, 40000, 400000)))
     around = Around(jnp.asarray(x), jnp.asarray(reach))
     return Renewal(scene, merged=False).searched(scene, around).contact, around
 
@@ -73,3 +74,30 @@ def test_the_list_holds_the_sites_that_may_meet_and_no_others(level, roughness, 
     assert all_pairs(contact, x, reach, -1e-9 * SIGMA) <= set(found)
     # What lies beyond by less than rounding allows for may be in it.
     assert set(found) <= all_pairs(contact, x, reach, 1e-4 * SIGMA)
+
+
+def layer_energy(mesh, x, contact):
+    """Energy of sites of the lower layer with those of the upper one."""
+    weights, share, sigma = np.asarray(contact.weights), np.asarray(contact.share), float(contact.range)
+    upper = layer_of(mesh, (2, 2))[mesh.faces]
+    sides = [np.flatnonzero(np.all(upper == side, axis=1)) for side in (0, 1)]
+    sites, rest = (
+        [np.einsum("sk,fki->fsi", weights, y[mesh.faces[side]]).reshape(-1, 3) for side in sides]
+        for y in (x, mesh.vertices)
+    )
+    strength = [np.outer(np.asarray(contact.density)[side], share).reshape(-1) for side in sides]
+    met = cKDTree(sites[0]).sparse_distance_matrix(cKDTree(sites[1]), sigma, output_type="coo_matrix")
+    apart = np.linalg.norm(rest[0][met.row] - rest[1][met.col], axis=1) >= EXCLUSION * sigma
+    parts = strength[0][met.row] * strength[1][met.col] * np.exp(sigma / (met.data - sigma))
+    return float(contact.stiffness) * sigma**2 * np.sum(parts[apart])
+
+
+def test_places_beyond_32_bits_are_told_apart():
+    step = 1e-3
+    sigma = step / 60
+    mesh = strip(0.8 * sigma, columns=(2, 2), rows=2, step=step)
+    x = folded(mesh, 0.8 * sigma, (2, 2))
+    options = jc.SelfContact(range=sigma, level=359)
+    contact = jc.with_contacts(jc.sheet(mesh, jc.Material(thickness=1e-5), contact=options), x).contact
+    assert int(contact.near.needed[1]) * len(contact.share) > np.iinfo(np.int32).max
+    assert contact.energy(jnp.asarray(x)) == pytest.approx(layer_energy(mesh, x, contact), rel=1e-10)

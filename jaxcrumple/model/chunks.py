@@ -121,7 +121,7 @@ def enumerated(
         return chunk + 1, kept, ends[-1, -1]
 
     zero, count = jnp.zeros((), jnp.int32), jnp.asarray(count, jnp.int32)
-    start = (zero, jnp.zeros(size, jnp.int32), zero)
+    start = (zero, jnp.zeros(size, jax.eval_shape(entries, zero[None], zero[None, None]).dtype), zero)
     _, kept, total = jax.lax.while_loop(lambda carry: carry[0] * rows < count, body, start)
     return kept, total.astype(int)
 

@@ -340,5 +340,5 @@ def build_contact(mesh: Mesh, constants: ModelConstants, options: SelfContact) -
         fans=fans,
         chart=build_chart(mesh),
         candidates=no_candidates(mesh.n_nodes, len(fans.triangles)),
-        near=no_neighbors(mesh.n_nodes),
+        near=no_neighbors(mesh.n_nodes, len(sites.share)),
     )

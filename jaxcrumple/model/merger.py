@@ -9,6 +9,16 @@ from jaxcrumple.model.pattern import Pattern, scalar_entries
 
 # Room for entries that a pair adds, of 81: it has most of its blocks in common with other pairs.
 ENTRIES = 10
+# A list that grows has room for so many times what it must hold: to compile again takes longer than many
+# steps.
+SOON = 1.5
+
+
+def doubled(size: int, needed: int) -> int:
+    """The size, doubled as often as it takes to be `needed`."""
+    while size < needed:
+        size *= 2
+    return size
 
 
 class Merger:
@@ -25,9 +35,10 @@ class Merger:
         # Blocks are numbered row by row, so a block's entries are not next to one another.
         self.order = entries.reshape(-1)[self.upper]
 
-    def merge(self, triangles: np.ndarray, capacity: int) -> Merged:
-        """Structure with room for `capacity` pairs, the first of which are `triangles` (c, 2), sorted; or for
-        twice as many, or more, where these and the entries that they add need it."""
+    def merge(self, triangles: np.ndarray, capacity: int, spare: float = 1.0) -> Merged:
+        """Structure with room for `capacity` pairs, the first of which are `triangles` (c, 2), sorted. Where
+        `spare` times these, or the entries that they add, need more, it is doubled until it has room for
+        `SOON` times as many."""
         n = self.n
         nodes = self.faces[triangles]
         a, b = np.broadcast_arrays(nodes[:, 0, :, None], nodes[:, 1, None, :])
@@ -36,8 +47,9 @@ class Merger:
         row, column = keys // n, keys % n
         entries, counts = scalar_entries(n, row, column)
         nnz = int(counts.sum())
-        while len(triangles) > capacity or nnz > self.nnz + ENTRIES * capacity:
-            capacity *= 2
+        needed = max(len(triangles), (nnz - self.nnz) / ENTRIES)
+        if spare * needed > capacity:
+            capacity = doubled(capacity, int(SOON * needed))
         room = self.nnz + ENTRIES * capacity
         entries[entries == nnz] = room
         place = np.empty(self.nnz, np.int32)

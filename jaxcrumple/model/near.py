@@ -102,6 +102,11 @@ def pair_key(triangles: Array, n_faces: int) -> Array:
     return wide[:, 0] * n_faces + wide[:, 1]
 
 
+def place_type(size: int) -> type:
+    """Integers that count up to `size`: wider ones take longer."""
+    return jnp.int32 if size <= jnp.iinfo(jnp.int32).max else jnp.int64
+
+
 def split(place: Array, width: int) -> tuple[Array, Array]:
     """Row and column of places row * `width` + column, none negative."""
     columns = jnp.asarray(width, place.dtype)
@@ -126,10 +131,11 @@ def no_candidates(n: int, ways: int, room: int = 1) -> Candidates:
     return Candidates(triangles, jnp.zeros((), int), nowhere(n), folded)
 
 
-def no_neighbors(n: int, room: Room = SMALLEST) -> Near:
-    """A list that holds nowhere."""
+def no_neighbors(n: int, sites: int, room: Room = SMALLEST) -> Near:
+    """A list that holds nowhere, for so many `sites` a triangle."""
     t, zero = room.triangles, jnp.zeros((), int)
+    found = jnp.zeros(room.sites, place_type(t * sites))
+    picked = jnp.zeros(room.pairs, place_type(room.sites * sites))
     return Near(
-        jnp.zeros((t, 2), jnp.int32), jnp.zeros(t), zero, jnp.zeros(room.sites, jnp.int32),
-        jnp.zeros(room.pairs, jnp.int32), zero, nowhere(n), jnp.zeros(3, int),
-    )  # fmt: skip
+        jnp.zeros((t, 2), jnp.int32), jnp.zeros(t), zero, found, picked, zero, nowhere(n), jnp.zeros(3, int)
+    )

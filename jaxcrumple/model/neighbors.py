@@ -10,7 +10,7 @@ from jax import Array
 from jaxcrumple.model.chunks import compacted, enumerated, filled
 from jaxcrumple.model.distance import TINY, boxes, boxes_meet, primitive_distances, shared_parts
 from jaxcrumple.model.geometry import Vec, add, cross, dot, gather, scale, sub
-from jaxcrumple.model.near import EXCLUSION, Around, Near, split
+from jaxcrumple.model.near import EXCLUSION, Around, Near, place_type, split
 
 if TYPE_CHECKING:
     from jaxcrumple.model.contact import Contact
@@ -34,10 +34,12 @@ def find_near(contact: "Contact", around: Around) -> Near:
         return _in_prism(lattice, gather(x, first[at]), gather(x, second[at]), reach[at])
 
     def place(at: Array, number: Array) -> Array:
-        return at[:, None] * lattice.count + lattice.first + number
+        return at.astype(contact.near.found.dtype)[:, None] * lattice.count + lattice.first + number
 
     chunk = max(LINES // len(lattice.row), 1)
-    found, found_count = enumerated(close, pair_count, room.sites, chunk, place)
+    pairs = jnp.minimum(pair_count, room.triangles)
+    found, found_count = enumerated(close, pairs, room.sites, chunk, place)
+    sites = jnp.minimum(found_count, room.sites)
 
     def sides(at: Array) -> tuple[Vec, Vec, Vec, Array]:
         """Where in the second triangle's lattice the site is: from there to its start, its two steps, and how
@@ -51,8 +53,9 @@ def find_near(contact: "Contact", around: Around) -> Near:
         return _within(_across(start, step), _across(row, step), limit, lattice.parts)
 
     width = lattice.parts + 1
+    wide = place_type(room.sites * width)
     lines, line_count = enumerated(
-        rows, found_count, room.pairs, LINES, lambda at, k: at[:, None] * width + k
+        rows, sites, room.pairs, LINES, lambda at, k: at.astype(wide)[:, None] * width + k
     )
 
     def columns(at: Array) -> tuple[Array, Array]:
@@ -62,9 +65,10 @@ def find_near(contact: "Contact", around: Around) -> Near:
 
     def entry(at: Array, column: Array) -> Array:
         here, number = split(lines[at], width)
-        return (here * lattice.count + lattice.first[number])[:, None] + column
+        first = here.astype(contact.near.picked.dtype) * lattice.count + lattice.first[number]
+        return first[:, None] + column
 
-    met, met_count = enumerated(columns, line_count, room.pairs, LINES, entry)
+    met, met_count = enumerated(columns, jnp.minimum(line_count, room.pairs), room.pairs, LINES, entry)
 
     def strange(at: Array) -> Array:
         """Whether sites are no neighbours at rest."""
@@ -74,7 +78,11 @@ def find_near(contact: "Contact", around: Around) -> Near:
         apart = sub(here, lattice.point(other, gather(contact.rest, second[owner])))
         return (dot(apart, apart) >= (EXCLUSION * contact.range) ** 2)[:, None]
 
-    picked, total = compacted(strange, met_count, 1, room.pairs, REST, lambda at: met[at])
+    known = jnp.minimum(met_count, room.pairs)
+    picked, total = compacted(strange, known, 1, room.pairs, REST, lambda at: met[at])
+    # What did not fit was not looked at further, and has as many sites and pairs as the rest.
+    found_count = _in_all(found_count, pair_count, pairs)
+    lines_met = jnp.maximum(line_count, _in_all(met_count, line_count, jnp.minimum(line_count, room.pairs)))
     return Near(
         triangles=triangles,
         distance=distance,
@@ -83,7 +91,14 @@ def find_near(contact: "Contact", around: Around) -> Near:
         picked=picked,
         site_count=total,
         around=around,
-        needed=jnp.stack([pair_count, found_count, jnp.maximum(line_count, met_count)]),
+        needed=jnp.stack([pair_count, found_count, _in_all(lines_met, found_count, sites)]),
+    )
+
+
+def _in_all(count: Array, whole: Array, part: Array) -> Array:
+    """What `count`, that of a part of a list, is for the `whole`."""
+    return jnp.where(
+        part < whole, jnp.ceil(count * (whole / jnp.maximum(part, 1))).astype(count.dtype), count
     )
 
 
@@ -98,7 +113,7 @@ def _near_triangles(contact: "Contact", around: Around) -> tuple[Array, Array, A
         return boxes_meet(low, high, one, two, contact.range)[:, None]
 
     size = candidates.triangles.shape[0]
-    rough, count = compacted(overlap, candidates.count, 1, size, BOXES)
+    rough, count = compacted(overlap, jnp.minimum(candidates.count, size), 1, size, BOXES)
 
     def distances(at: Array) -> Array:
         first, second = (faces[candidates.triangles[rough[at], side]] for side in range(2))

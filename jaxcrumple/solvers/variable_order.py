@@ -30,6 +30,9 @@ ORDER_GAIN = 1.1
 DIAGONAL = 3.0**0.5
 # Steps with inertia whose errors may add up before each must leave less, and the most that are allowed for.
 REMEMBERED, MOST_REMEMBERED = 500.0, 1e4
+# Local error in contact ranges that a step may leave at most: contact grows e-fold within a few hundredths,
+# so that from a worse prediction Newton's iteration does not converge.
+CONTACT_SHARE = 0.01
 
 
 class VariableOrder(AbstractImplicit):
@@ -182,7 +185,10 @@ class VariableOrder(AbstractImplicit):
     def _allowed(self, scene: Scene, state: State, h: Array) -> Array:
         """Local error, relative to the scales, that a step of `h` s may leave."""
         share = self.inertial_share * _remembered(scene, h)
-        return self.rtol * jnp.where(state.stage == IMPLICIT, share, LOCAL_SHARE)
+        allowed = self.rtol * jnp.where(state.stage == IMPLICIT, share, LOCAL_SHARE)
+        if scene.contact is None:
+            return allowed
+        return jnp.minimum(allowed, CONTACT_SHARE * scene.contact.range / scene.length_scale)
 
     def _next(self, h, order, errors, cause) -> tuple[Array, Array]:
         """Step and order to take next: those that promise the longest step."""
