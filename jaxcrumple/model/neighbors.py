@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 BOXES, PAIRS, LINES, REST = 1024, 256, 2048, 1024
 # Sites are found that miss a bound by this much of their spacing or their reach.
 ROUNDING = 1e-6
+# In spacings of sites, far more than that.
+NEARLY = 1e-4
 
 
 def find_near(contact: "Contact", around: Around) -> Near:
@@ -30,8 +32,11 @@ def find_near(contact: "Contact", around: Around) -> Near:
     reach = _limit(contact, around, first, second)
     lattice = _Lattice(contact.weights)
 
+    alien = _farthest(contact.rest, first, second) >= EXCLUSION * contact.range
+
     def close(at: Array) -> tuple[Array, Array]:
-        return _in_prism(lattice, gather(x, first[at]), gather(x, second[at]), reach[at])
+        start, behind = _in_prism(lattice, gather(x, first[at]), gather(x, second[at]), reach[at])
+        return start, jnp.where(alien[at][:, None], behind, start)
 
     def place(at: Array, number: Array) -> Array:
         return at.astype(contact.near.found.dtype)[:, None] * lattice.count + lattice.first + number
@@ -41,16 +46,18 @@ def find_near(contact: "Contact", around: Around) -> Near:
     found, found_count = enumerated(close, pairs, room.sites, chunk, place)
     sites = jnp.minimum(found_count, room.sites)
 
-    def sides(at: Array) -> tuple[Vec, Vec, Vec, Array]:
-        """Where in the second triangle's lattice the site is: from there to its start, its two steps, and how
-        far sites may be."""
+    def sides(at: Array, x: Array) -> tuple[Vec, Vec, Vec]:
+        """Where in the second triangle's lattice the site is: from there to its start, and its two steps."""
         owner, site = split(found[at], lattice.count)
         point = lattice.point(site, gather(x, first[owner]))
-        return *lattice.steps(point, gather(x, second[owner])), reach[owner]
+        return lattice.steps(point, gather(x, second[owner]))
+
+    def limit(at: Array) -> Array:
+        return reach[split(found[at], lattice.count)[0]]
 
     def rows(at: Array) -> tuple[Array, Array]:
-        start, row, step, limit = sides(at)
-        return _within(_across(start, step), _across(row, step), limit, lattice.parts)
+        start, row, step = sides(at, x)
+        return _within(_across(start, step), _across(row, step), limit(at), lattice.parts)
 
     width = lattice.parts + 1
     wide = place_type(room.sites * width)
@@ -60,8 +67,12 @@ def find_near(contact: "Contact", around: Around) -> Near:
 
     def columns(at: Array) -> tuple[Array, Array]:
         here, number = split(lines[at], width)
-        start, row, step, limit = sides(here)
-        return _within(add(start, scale(number, row)), step, limit, lattice.parts - number)
+        start, row, step = sides(here, x)
+        near = _within(add(start, scale(number, row)), step, limit(here), lattice.parts - number)
+        start, row, step = sides(here, contact.rest)
+        # Rounding must not make it hold more than neighbours at rest.
+        known = EXCLUSION * contact.range - NEARLY * jnp.sqrt(dot(step, step))
+        return _without(near, _within(add(start, scale(number, row)), step, known, lattice.parts - number))
 
     def entry(at: Array, column: Array) -> Array:
         here, number = split(lines[at], width)
@@ -140,6 +151,12 @@ def _distances(x: Array, first: Array, second: Array) -> tuple[Array, Array]:
     return whole, jnp.sqrt(jnp.min(jnp.where(shared, jnp.inf, parts), axis=0))
 
 
+def _farthest(rest: Array, first: Array, second: Array) -> Array:
+    """Largest distance (m,) at rest of corners of triangles with nodes (m, 3)."""
+    apart = [sub(p, q) for p in gather(rest, first) for q in gather(rest, second)]
+    return jnp.sqrt(jnp.max(jnp.stack([dot(r, r) for r in apart]), axis=0))
+
+
 class _Lattice:
     """The sites of a triangle by rows: those whose weight of the first corner is the same."""
 
@@ -203,6 +220,15 @@ def _within(start: Vec, step: Vec, reach: Array, last: Array | int) -> tuple[Arr
     width = jnp.where(half >= 0, jnp.sqrt(jnp.maximum(half, 0.0)), -jnp.inf)
     first, behind = _whole(middle - width, middle + width, last)
     return first[:, None], behind[:, None]
+
+
+def _without(whole: tuple[Array, Array], part: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Intervals (m, 2): of intervals (m, 1) what lies before others and what lies behind them."""
+    (first, behind), (begin, end) = whole, part
+    empty = begin >= end
+    begin, end = jnp.where(empty, behind, begin), jnp.where(empty, behind, end)
+    starts = jnp.concatenate([first, jnp.maximum(first, end)], axis=1)
+    return starts, jnp.concatenate([jnp.minimum(behind, begin), behind], axis=1)
 
 
 def _whole(low: Array, high: Array, last: Array | int | np.ndarray) -> tuple[Array, Array]:
