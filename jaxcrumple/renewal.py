@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike
 
 from jaxcrumple.model.fans import PLACED_TURN
 from jaxcrumple.model.fields import is_known
-from jaxcrumple.model.merger import SOON, Merger, doubled
-from jaxcrumple.model.near import Around, Candidates, Room, no_candidates, no_neighbors
+from jaxcrumple.model.merger import Merger
+from jaxcrumple.model.near import SOON, Around, Candidates, Room, doubled, no_candidates, no_neighbors
 from jaxcrumple.model.neighbors import find_near
 from jaxcrumple.model.scene import Scene, with_near
 from jaxcrumple.model.search import Search

@@ -4,21 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxcrumple.model.cross import SIZE, Merged
-from jaxcrumple.model.near import NONE, pair_key
+from jaxcrumple.model.near import NONE, SOON, doubled, pair_key
 from jaxcrumple.model.pattern import Pattern, scalar_entries
 
 # Room for entries that a pair adds, of 81: it has most of its blocks in common with other pairs.
 ENTRIES = 10
-# A list that grows has room for so many times what it must hold: to compile again takes longer than many
-# steps.
-SOON = 1.5
-
-
-def doubled(size: int, needed: int) -> int:
-    """The size, doubled as often as it takes to be `needed`."""
-    while size < needed:
-        size *= 2
-    return size
 
 
 class Merger:

@@ -19,6 +19,9 @@ from jax import Array
 EXCLUSION = 2.0
 # Behind the keys of all pairs of triangles.
 NONE = jnp.iinfo(jnp.int64).max
+# A list that grows has room for so many times what it must hold: to compile again takes longer than many
+# steps.
+SOON = 1.5
 
 
 class Around(eqx.Module):
@@ -94,6 +97,13 @@ class Room(NamedTuple):
 
 
 SMALLEST = Room()
+
+
+def doubled(size: int, needed: int) -> int:
+    """The size, doubled as often as it takes to be `needed`."""
+    while size < needed:
+        size *= 2
+    return size
 
 
 def pair_key(triangles: Array, n_faces: int) -> Array:

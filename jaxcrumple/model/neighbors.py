@@ -65,6 +65,8 @@ def find_near(contact: "Contact", around: Around) -> Near:
         rows, sites, room.pairs, LINES, lambda at, k: at.astype(wide)[:, None] * width + k
     )
 
+    looked_at = jnp.minimum(line_count, room.pairs)
+
     def columns(at: Array) -> tuple[Array, Array]:
         here, number = split(lines[at], width)
         start, row, step = sides(here, x)
@@ -79,7 +81,7 @@ def find_near(contact: "Contact", around: Around) -> Near:
         first = here.astype(contact.near.picked.dtype) * lattice.count + lattice.first[number]
         return first[:, None] + column
 
-    met, met_count = enumerated(columns, jnp.minimum(line_count, room.pairs), room.pairs, LINES, entry)
+    met, met_count = enumerated(columns, looked_at, room.pairs, LINES, entry)
 
     def strange(at: Array) -> Array:
         """Whether sites are no neighbours at rest."""
@@ -93,7 +95,7 @@ def find_near(contact: "Contact", around: Around) -> Near:
     picked, total = compacted(strange, known, 1, room.pairs, REST, lambda at: met[at])
     # What did not fit was not looked at further, and has as many sites and pairs as the rest.
     found_count = _in_all(found_count, pair_count, pairs)
-    lines_met = jnp.maximum(line_count, _in_all(met_count, line_count, jnp.minimum(line_count, room.pairs)))
+    lines_met = jnp.maximum(line_count, _in_all(met_count, line_count, looked_at))
     return Near(
         triangles=triangles,
         distance=distance,

@@ -84,12 +84,12 @@ def relax(
     x = state.x if scene.prescribed is None else scene.prescribed.position(state.x, state.t)
     state = restarted(scene, state, x, jnp.zeros_like(x))
     tolerance, left = as_float(force_tolerance), jnp.asarray(max_iterations)
-    if not is_known(x, scene.mass):
-        return _relax(scene, state, tolerance, solver, left, _first_shift(scene))[0]
-    check_start(scene, state)
-    if scene.contact is None:
-        return _relax(scene, state, tolerance, solver, left, _first_shift(scene))[0]
-    return _relax_apart(scene, state, tolerance, solver, left)
+    known = is_known(x, scene.mass)
+    if known:
+        check_start(scene, state)
+    if known and scene.contact is not None:
+        return _relax_apart(scene, state, tolerance, solver, left)
+    return _relax(scene, state, tolerance, solver, left, _first_shift(scene))[0]
 
 
 def _relax_apart(scene: Scene, state: State, tolerance: Array, solver, left: Array) -> Relaxed:
