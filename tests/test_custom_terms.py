@@ -92,6 +92,24 @@ def test_an_energy_that_turns_nan_ends_in_a_named_result():
     assert np.isfinite(solution.history.drop(columns="stage").to_numpy(float)).all()
 
 
+def cliff(x, depth, t):
+    """Next to nothing down to a depth, and nothing known below it."""
+    return 1e-30 * jnp.sqrt(x[0, 2] + depth)
+
+
+def test_a_step_whose_end_alone_has_no_forces_is_cut():
+    # From rest the last stage of an explicit step falls by g h^2 / 3, its end by g h^2 / 2.
+    flat, h = tethered_mesh().vertices, 1e-7
+    depth = 0.4 * G * h**2
+    ground = ElementEnergy(jnp.arange(NODES)[:, None], cliff, jnp.full(NODES, depth))
+    scene = sheet(tethered_mesh(), elastic(drag_rate=0.0), gravity=(0.0, 0.0, -G), extra=[ground])
+    solver = integrator(1e-3, scheme="explicit", max_step=h)
+    solution = simulate(scene, initial_state(scene, flat), 1.0, solver=solver, max_seconds=20.0)
+    assert solution.result == "nonfinite"
+    np.testing.assert_allclose(solution.state.t, np.sqrt(2 * depth / G), rtol=1e-3)
+    assert -depth < solution.state.x[:, 2].min() < -0.999 * depth
+
+
 class Creep(AbstractFlowRule):
     """A sheet that forgets: dp/dt = (c - p) / T."""
 

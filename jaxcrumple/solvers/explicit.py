@@ -171,7 +171,9 @@ def attempt(
     t1 = state.t + h
     y1, error, _, stages, _ = _SOLVER.step(_TERM, state.t, t1, y0, scene, stages, fresh)
     controller = _controller(scene, options, cap)
-    finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(y1)]))
+    # The derivative at the new point is in the error alone.
+    units = _error_norm(scene, options, error)
+    finite = jnp.isfinite(units) & jnp.all(jnp.stack([jnp.all(jnp.isfinite(y)) for y in jax.tree.leaves(y1)]))
     # An integral controller keeps no memory, so its state starts afresh with every step.
     _, memory = controller.init(_TERM, state.t, t1, y0, h, scene, _SOLVER.func, ERROR_ORDER)
     keep, next_t0, next_t1, _, _, _ = controller.adapt_step_size(
@@ -188,5 +190,4 @@ def attempt(
     cause = jnp.where(good, jnp.where(stopped, CAUSES.index("contact"), -1), cause)
     # The stage handed on is the derivative at the new point: the acceleration comes for free.
     _, (_, acceleration, _) = stages
-    units = _error_norm(scene, options, error)
     return Attempt(x, v, p, acceleration, units, cause, next_h, stages)
