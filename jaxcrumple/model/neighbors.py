@@ -31,8 +31,7 @@ def find_near(contact: "Contact", around: Around) -> Near:
     first, second = contact.faces[triangles[:, 0]], contact.faces[triangles[:, 1]]
     reach = _limit(contact, around, first, second)
     lattice = _Lattice(contact.weights)
-
-    alien = _farthest(contact.rest, first, second) >= EXCLUSION * contact.range
+    alien = _may_meet(contact, x, first, second, reach)
 
     def close(at: Array) -> tuple[Array, Array]:
         start, behind = _in_prism(lattice, gather(x, first[at]), gather(x, second[at]), reach[at])
@@ -153,10 +152,31 @@ def _distances(x: Array, first: Array, second: Array) -> tuple[Array, Array]:
     return whole, jnp.sqrt(jnp.min(jnp.where(shared, jnp.inf, parts), axis=0))
 
 
-def _farthest(rest: Array, first: Array, second: Array) -> Array:
-    """Largest distance (m,) at rest of corners of triangles with nodes (m, 3)."""
-    apart = [sub(p, q) for p in gather(rest, first) for q in gather(rest, second)]
-    return jnp.sqrt(jnp.max(jnp.stack([dot(r, r) for r in apart]), axis=0))
+def _may_meet(contact: "Contact", x: Array, first: Array, second: Array, reach: Array) -> Array:
+    """Whether points of triangles with nodes (m, 3) that are no neighbours at rest may be as near as `reach`
+    (m,).
+
+    With barycentric coordinates a_i and b_j, the squared distance of two points is sum(a_i b_j d_ij) less
+    sum(a_i a_k e_ik) and sum(b_j b_l f_jl) over pairs of corners, where d, e and f are those of corners. So
+    it was larger at rest by no more than the largest difference of d and, as sum(a_i a_k) <= 1/3, a third of
+    that by which edges grew.
+    """
+    (apart, *edges), (rest, *lengths) = (_squares(y, first, second) for y in (x, contact.rest))
+    grown = sum(jnp.maximum(jnp.max(now - was, axis=0), 0.0) for now, was in zip(edges, lengths, strict=True))
+    nearer = jnp.max(rest - apart, axis=0) + grown / 3.0
+    return jnp.minimum(jnp.max(rest, axis=0), reach * reach + nearer) >= (EXCLUSION * contact.range) ** 2
+
+
+def _squares(x: Array, first: Array, second: Array) -> tuple[Array, Array, Array]:
+    """Squared distances between the corners of triangles with nodes (m, 3), (9, m), and of the corners of
+    each of them, (3, m)."""
+
+    def square(p: Vec, q: Vec) -> Array:
+        return dot(sub(p, q), sub(p, q))
+
+    one, two = gather(x, first), gather(x, second)
+    own = [jnp.stack([square(c[k - 1], c[k]) for k in range(3)]) for c in (one, two)]
+    return jnp.stack([square(p, q) for p in one for q in two]), own[0], own[1]
 
 
 class _Lattice:

@@ -43,9 +43,11 @@ def stay(state: State) -> Handover:
     return Handover(state.stage, state.h)
 
 
-def after_implicit(scene: Scene, state: State, accepted: Array, cause: Array, solver: Integrator) -> Handover:
+def after_implicit(
+    scene: Scene, state: State, accepted: Array, cause: Array, solver: Integrator, bounded: Array
+) -> Handover:
     """Whether the stage of an implicit step, that led to `state` or was rejected for `cause`, cannot or need
-    not go on."""
+    not go on; `bounded`: contact allowed no longer step."""
     quasistatic, inertial = state.stage == QUASISTATIC, state.stage == IMPLICIT
     limit, rejected, handover = state.limit, ~accepted, stay(state)
     short = state.h < COLLAPSE * limit
@@ -58,7 +60,7 @@ def after_implicit(scene: Scene, state: State, accepted: Array, cause: Array, so
             down = inertial & accepted & has_settled(scene, state.monitor, solver.switch)
             handover = handover.when(down, QUASISTATIC, state.h)
         if solver.has(EXPLICIT):
-            brief = inertial & rejected & (state.h < BREAK_EVEN * limit)
+            brief = inertial & (rejected | bounded) & (state.h < BREAK_EVEN * limit)
             handover = handover.when(brief, EXPLICIT, h_explicit)
     elif solver.has(EXPLICIT):
         handover = handover.when(asked | (rejected & short), EXPLICIT, h_explicit)

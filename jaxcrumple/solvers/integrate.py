@@ -194,12 +194,14 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
     # The step that aligns the velocity with the forces is as short as an explicit one.
     aligning = aligns(state)
     wanted = jnp.where(aligning, jnp.minimum(wanted, state.limit), wanted)
+    bounded = jnp.asarray(False)
     if scene.contact is not None:
-        ahead = solver.implicit.predict(scene, state, wanted)
-        wanted = wanted * largest_move(scene, carry.lists, state.x, ahead, state.history.count > 1)
+        ahead, known = solver.implicit.predict(scene, state, wanted), state.history.count > 1
+        share = largest_move(scene, carry.lists, state.x, ahead, known)
+        wanted, bounded = wanted * share, known & (share < 1)
     h, lands = _clip_step(state.t, wanted, t_stop)
     if scene.contact is None:
-        return _implicit_attempt(scene, carry, t_stop, solver, wanted, h, lands)
+        return _implicit_attempt(scene, carry, t_stop, solver, wanted, h, lands, bounded)
     ahead = solver.implicit.predict(scene, state, h)
 
     restores = _restores(carry)
@@ -210,12 +212,14 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
     lists, ready = select(restores, to_restore, lists), jnp.where(restores, ready_then, ready)
 
     def attempt(carry: _Carry) -> _Carry:
-        return _implicit_attempt(scene, carry, t_stop, solver, wanted, h, lands)
+        return _implicit_attempt(scene, carry, t_stop, solver, wanted, h, lands, bounded)
 
     return jax.lax.cond(ready, attempt, lambda carry: carry, carry._replace(state=state, lists=lists))
 
 
-def _implicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted, h, lands) -> _Carry:
+def _implicit_attempt(
+    scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted, h, lands, bounded
+) -> _Carry:
     assert solver.implicit is not None and carry.factor is not None
     scene = listed(scene, carry.lists)
     state, aligning = carry.state, aligns(carry.state)
@@ -235,7 +239,7 @@ def _implicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, w
         (suggested, tried.next_order, tried.kept, counters),
     )
     log = append(carry.log, row(scene, moved, STEP, h, tried.order, tried.error), tried.accepted)
-    handover = after_implicit(scene, moved, tried.accepted, tried.cause, solver)
+    handover = after_implicit(scene, moved, tried.accepted, tried.cause, solver, bounded)
     hopeless = ~tried.accepted & (handover.stage != EXPLICIT) & _is_tiny(moved.h, moved.t)
     moved = _given_up(moved, hopeless, tried.cause)
     carry = carry._replace(factor=tried.factor, held=jnp.ones_like(carry.held))
