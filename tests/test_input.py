@@ -1,5 +1,7 @@
 """Input that cannot be: one ValueError that names cause and cure, before any work."""
 
+import warnings
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -172,6 +174,19 @@ def test_whole_numbers_compile_to_the_same_program():
 def test_contact_that_is_none_is_refused(contact, message):
     with pytest.raises(ValueError, match=message):
         sheet(MESH, Material(), contact=contact)
+
+
+def test_a_level_that_leaves_holes_in_the_sheet_is_pointed_out():
+    # Between three sites a distance s apart there is a point s / sqrt(3) from each.
+    longest = MESH.edge_length.max()
+    for share, warns in ((0.99, True), (1.01, False)):
+        options = SelfContact(range=share * longest / (2 * np.sqrt(3)), level=1)
+        with warnings.catch_warnings(record=True) as seen:
+            warnings.simplefilter("always")
+            sheet(MESH, Material(), contact=options)
+        assert [str(w.message)[:45] for w in seen] == [
+            "contact level = 1 leaves sites so far apart t"
+        ] * warns
 
 
 def test_positions_that_are_none_are_refused_before_a_search():

@@ -7,6 +7,7 @@ depend on the refinement or on the triangle. On a lattice of triangles of height
 equal to $\\sigma$ these are the paper's (26)-(28).
 """
 
+import warnings
 from collections.abc import Callable
 from functools import reduce
 from typing import Any, Literal, NamedTuple, get_args
@@ -34,6 +35,8 @@ TINY = 1e-30
 # Largest spacing of sites in ranges, on average over a triangle and along its sides, so that layers cannot
 # rest between each other's sites.
 SPACING, LONGEST_SPACING = 1.0, 1.5
+# From this spacing in ranges on, points of a sheet are out of reach of all its sites.
+WIDEST_SPACING = np.sqrt(3.0)
 # The same for a barrier: any point of a triangle lies within spacing/sqrt(3) of a site, so sheets that touch
 # have two sites within twice that, which is made the core.
 BARRIER_SPACING = 0.5
@@ -325,6 +328,12 @@ def build_contact(mesh: Mesh, constants: ModelConstants, options: SelfContact) -
         raise ValueError(
             f"contact level = {level} leaves sites too far apart for a barrier of range {sigma:.3g} m; "
             f"choose level {needed} or leave it out."
+        )
+    if not barrier and longest / (level + 1) > WIDEST_SPACING * sigma:
+        warnings.warn(
+            f"contact level = {level} leaves sites so far apart that layers may meet between them without a "
+            f"force, which ends a run as blocked; choose level {needed} or leave it out.",
+            stacklevel=3,
         )
     sites, fans = build_sites(level), build_fans(mesh)
     return Contact(
