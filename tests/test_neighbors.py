@@ -60,6 +60,7 @@ def listed(near, sites):
     return list(zip(*triangles.T, first, second, strict=True))
 
 
+@pytest.mark.filterwarnings("ignore:contact level = 0 leaves")
 @pytest.mark.parametrize(
     ("level", "roughness", "turned"), [(0, 0.0, False), (4, 0.0, False), (4, 0.0, True), (3, 0.1, True)]
 )

@@ -2,14 +2,13 @@
 
 from typing import TYPE_CHECKING
 
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from jaxcrumple.model.chunks import compacted, enumerated, filled
-from jaxcrumple.model.distance import TINY, boxes, boxes_meet, primitive_distances, shared_parts
-from jaxcrumple.model.geometry import Vec, add, cross, dot, gather, scale, sub
+from jaxcrumple.model.distance import boxes, boxes_meet, primitive_distances, shared_parts
+from jaxcrumple.model.geometry import Vec, add, dot, gather, scale, sub
+from jaxcrumple.model.lattice import Lattice, across, in_prism, within, without
 from jaxcrumple.model.near import EXCLUSION, Around, Near, place_type, split
 
 if TYPE_CHECKING:
@@ -17,81 +16,23 @@ if TYPE_CHECKING:
 
 # Pairs of boxes and of triangles, and rows of sites, that are looked at together.
 BOXES, PAIRS, LINES, REST = 1024, 256, 2048, 1024
-# Sites are found that miss a bound by this much of their spacing or their reach.
-ROUNDING = 1e-6
-# In spacings of sites, far more than that.
+# In spacings of sites, far more than the rounding of places along rows.
 NEARLY = 1e-4
 
 
 def find_near(contact: "Contact", around: Around) -> Near:
     """The pairs of sites that may interact within motions `around`, in a list of the same size as the one
     that `contact` has."""
-    room, x = contact.near.room, around.x
+    room = contact.near.room
     triangles, distance, pair_count = _near_triangles(contact, around)
-    first, second = contact.faces[triangles[:, 0]], contact.faces[triangles[:, 1]]
-    reach = _limit(contact, around, first, second)
-    lattice = _Lattice(contact.weights)
-    alien = _may_meet(contact, x, first, second, reach)
-
-    def close(at: Array) -> tuple[Array, Array]:
-        start, behind = _in_prism(lattice, gather(x, first[at]), gather(x, second[at]), reach[at])
-        return start, jnp.where(alien[at][:, None], behind, start)
-
-    def place(at: Array, number: Array) -> Array:
-        return at.astype(contact.near.found.dtype)[:, None] * lattice.count + lattice.first + number
-
-    chunk = max(LINES // len(lattice.row), 1)
     pairs = jnp.minimum(pair_count, room.triangles)
-    found, found_count = enumerated(close, pairs, room.sites, chunk, place)
+    stages = _Stages(contact, around, triangles)
+    found, found_count = stages.sites(pairs)
     sites = jnp.minimum(found_count, room.sites)
-
-    def sides(at: Array, x: Array) -> tuple[Vec, Vec, Vec]:
-        """Where in the second triangle's lattice the site is: from there to its start, and its two steps."""
-        owner, site = split(found[at], lattice.count)
-        point = lattice.point(site, gather(x, first[owner]))
-        return lattice.steps(point, gather(x, second[owner]))
-
-    def limit(at: Array) -> Array:
-        return reach[split(found[at], lattice.count)[0]]
-
-    def rows(at: Array) -> tuple[Array, Array]:
-        start, row, step = sides(at, x)
-        return _within(_across(start, step), _across(row, step), limit(at), lattice.parts)
-
-    width = lattice.parts + 1
-    wide = place_type(room.sites * width)
-    lines, line_count = enumerated(
-        rows, sites, room.pairs, LINES, lambda at, k: at.astype(wide)[:, None] * width + k
-    )
-
+    lines, line_count = stages.rows(found, sites)
     looked_at = jnp.minimum(line_count, room.pairs)
-
-    def columns(at: Array) -> tuple[Array, Array]:
-        here, number = split(lines[at], width)
-        start, row, step = sides(here, x)
-        near = _within(add(start, scale(number, row)), step, limit(here), lattice.parts - number)
-        start, row, step = sides(here, contact.rest)
-        # Rounding must not make it hold more than neighbours at rest.
-        known = EXCLUSION * contact.range - NEARLY * jnp.sqrt(dot(step, step))
-        return _without(near, _within(add(start, scale(number, row)), step, known, lattice.parts - number))
-
-    def entry(at: Array, column: Array) -> Array:
-        here, number = split(lines[at], width)
-        first = here.astype(contact.near.picked.dtype) * lattice.count + lattice.first[number]
-        return first[:, None] + column
-
-    met, met_count = enumerated(columns, looked_at, room.pairs, LINES, entry)
-
-    def strange(at: Array) -> Array:
-        """Whether sites are no neighbours at rest."""
-        row, other = split(met[at], lattice.count)
-        owner, site = split(found[row], lattice.count)
-        here = lattice.point(site, gather(contact.rest, first[owner]))
-        apart = sub(here, lattice.point(other, gather(contact.rest, second[owner])))
-        return (dot(apart, apart) >= (EXCLUSION * contact.range) ** 2)[:, None]
-
-    known = jnp.minimum(met_count, room.pairs)
-    picked, total = compacted(strange, known, 1, room.pairs, REST, lambda at: met[at])
+    met, met_count = stages.columns(found, lines, looked_at)
+    picked, total = stages.strangers(found, met, jnp.minimum(met_count, room.pairs))
     # What did not fit was not looked at further, and has as many sites and pairs as the rest.
     found_count = _in_all(found_count, pair_count, pairs)
     lines_met = jnp.maximum(line_count, _in_all(met_count, line_count, looked_at))
@@ -105,6 +46,89 @@ def find_near(contact: "Contact", around: Around) -> Near:
         around=around,
         needed=jnp.stack([pair_count, found_count, _in_all(lines_met, found_count, sites)]),
     )
+
+
+class _Stages:
+    """From pairs of `triangles` (T, 2) to pairs of sites: sites of the first ones near the second, rows of
+    sites of the second ones near these, sites in such rows, and those that are no neighbours at rest."""
+
+    def __init__(self, contact: "Contact", around: Around, triangles: Array):
+        self.contact, self.x, self.room = contact, around.x, contact.near.room
+        self.first, self.second = (contact.faces[triangles[:, side]] for side in range(2))
+        self.reach = _limit(contact, around, self.first, self.second)
+        self.lattice = Lattice(contact.weights)
+        self.width = self.lattice.parts + 1
+
+    def sites(self, pairs: Array) -> tuple[Array, Array]:
+        """As `Near.found`, and how many they are, of the first `pairs`."""
+        contact, lattice = self.contact, self.lattice
+        strange = _may_meet(contact, self.x, self.first, self.second, self.reach)
+
+        def close(at: Array) -> tuple[Array, Array]:
+            first, second = gather(self.x, self.first[at]), gather(self.x, self.second[at])
+            start, behind = in_prism(lattice, first, second, self.reach[at])
+            return start, jnp.where(strange[at][:, None], behind, start)
+
+        def place(at: Array, number: Array) -> Array:
+            return at.astype(contact.near.found.dtype)[:, None] * lattice.count + lattice.first + number
+
+        return enumerated(close, pairs, self.room.sites, max(LINES // len(lattice.row), 1), place)
+
+    def _sides(self, found: Array, x: Array) -> tuple[Vec, Vec, Vec]:
+        """Where in the second triangle's lattice sites are: from there to its start, and its two steps."""
+        owner, site = split(found, self.lattice.count)
+        point = self.lattice.point(site, gather(x, self.first[owner]))
+        return self.lattice.steps(point, gather(x, self.second[owner]))
+
+    def _limit(self, found: Array) -> Array:
+        return self.reach[split(found, self.lattice.count)[0]]
+
+    def rows(self, found: Array, count: Array) -> tuple[Array, Array]:
+        """Rows near the first `count` sites, as place in `found` * `width` + row, and how many they are."""
+
+        def near(at: Array) -> tuple[Array, Array]:
+            start, row, step = self._sides(found[at], self.x)
+            return within(across(start, step), across(row, step), self._limit(found[at]), self.lattice.parts)
+
+        wide = place_type(self.room.sites * self.width)
+        return enumerated(
+            near, count, self.room.pairs, LINES, lambda at, k: at.astype(wide)[:, None] * self.width + k
+        )
+
+    def columns(self, found: Array, lines: Array, count: Array) -> tuple[Array, Array]:
+        """Sites in the first `count` rows that are near and, but for rounding, no neighbours at rest, as
+        `Near.picked`, and how many they are."""
+        contact, lattice = self.contact, self.lattice
+
+        def near(at: Array) -> tuple[Array, Array]:
+            here, number = split(lines[at], self.width)
+            last = lattice.parts - number
+            start, row, step = self._sides(found[here], self.x)
+            close = within(add(start, scale(number, row)), step, self._limit(found[here]), last)
+            start, row, step = self._sides(found[here], contact.rest)
+            # Rounding must not make it hold more than neighbours at rest.
+            known = EXCLUSION * contact.range - NEARLY * jnp.sqrt(dot(step, step))
+            return without(close, within(add(start, scale(number, row)), step, known, last))
+
+        def entry(at: Array, column: Array) -> Array:
+            here, number = split(lines[at], self.width)
+            first = here.astype(contact.near.picked.dtype) * lattice.count + lattice.first[number]
+            return first[:, None] + column
+
+        return enumerated(near, count, self.room.pairs, LINES, entry)
+
+    def strangers(self, found: Array, met: Array, count: Array) -> tuple[Array, Array]:
+        """Those of the first `count` pairs that are no neighbours at rest, and how many they are."""
+        rest = self.contact.rest
+
+        def strange(at: Array) -> Array:
+            row, other = split(met[at], self.lattice.count)
+            owner, site = split(found[row], self.lattice.count)
+            here = self.lattice.point(site, gather(rest, self.first[owner]))
+            apart = sub(here, self.lattice.point(other, gather(rest, self.second[owner])))
+            return (dot(apart, apart) >= (EXCLUSION * self.contact.range) ** 2)[:, None]
+
+        return compacted(strange, count, 1, self.room.pairs, REST, lambda at: met[at])
 
 
 def _in_all(count: Array, whole: Array, part: Array) -> Array:
@@ -177,88 +201,3 @@ def _squares(x: Array, first: Array, second: Array) -> tuple[Array, Array, Array
     one, two = gather(x, first), gather(x, second)
     own = [jnp.stack([square(c[k - 1], c[k]) for k in range(3)]) for c in (one, two)]
     return jnp.stack([square(p, q) for p in one for q in two]), own[0], own[1]
-
-
-class _Lattice:
-    """The sites of a triangle by rows: those whose weight of the first corner is the same."""
-
-    def __init__(self, weights: Array):
-        self.weights, self.count = weights, weights.shape[0]
-        self.parts = (int(np.sqrt(8 * self.count + 1)) - 3) // 2
-        self.row = np.arange(self.parts + 1)
-        self.first = jnp.asarray(self.row * (self.parts + 1) - self.row * (self.row - 1) // 2, jnp.int32)
-
-    def point(self, site: Array, corners: tuple[Vec, ...]) -> Vec:
-        """Positions of sites (m,) of triangles with given corners."""
-        a, b, c = (scale(self.weights[:, k][site], corner) for k, corner in enumerate(corners))
-        return add(add(a, b), c)
-
-    def steps(self, point: Vec, corners: tuple[Vec, ...]) -> tuple[Vec, Vec, Vec]:
-        """From points to the site of the third corner, from there to the next row, and along a row."""
-        row, step = (scale(1.0 / self.parts, sub(corners[k], corners[2])) for k in range(2))
-        return sub(corners[2], point), row, step
-
-
-def _in_prism(
-    lattice: _Lattice, first: tuple[Vec, ...], second: tuple[Vec, ...], reach: Array
-) -> tuple[Array, Array]:
-    """Intervals (m, r) of sites of the first triangles in a prism around the second ones, `reach` (m,) wide.
-
-    The prism's five sides are planes, and a site's height above one is linear in its number in a row.
-    """
-    edges = [sub(second[(k + 1) % 3], second[k]) for k in range(3)]
-    normal = _unit(cross(edges[0], edges[1]))
-    low, high = jnp.asarray(-jnp.inf), jnp.asarray(jnp.inf)
-    for corner, direction in [
-        (second[0], normal),
-        (second[0], scale(-1.0, normal)),
-        *((second[k], _unit(cross(edges[k], normal))) for k in range(3)),
-    ]:
-        # Once a triangle, which the compiler would do again for each of its rows.
-        a, b, c = jax.lax.optimization_barrier(tuple(dot(sub(p, corner), direction) for p in first))
-        row, rise = (a - c) / lattice.parts, ((b - c) / lattice.parts)[:, None]
-        room = (reach - c)[:, None] - row[:, None] * lattice.row
-        # The sign of what is zero but for rounding may change from one use to the next.
-        least = (ROUNDING * reach / lattice.parts)[:, None]
-        steep = jnp.abs(rise) > least
-        end = room / jnp.where(steep, rise, 1.0)
-        low = jnp.maximum(low, jnp.where(steep & (rise < 0), end, -jnp.inf))
-        level = jnp.where(room >= -least, jnp.inf, -jnp.inf)
-        high = jnp.minimum(high, jnp.where(steep, jnp.where(rise > 0, end, jnp.inf), level))
-    return _whole(low, high, lattice.parts - lattice.row)
-
-
-def _across(a: Vec, b: Vec) -> Vec:
-    """The part of vectors that is normal to others."""
-    return sub(a, scale(dot(a, b) / (dot(b, b) + TINY), b))
-
-
-def _within(start: Vec, step: Vec, reach: Array, last: Array | int) -> tuple[Array, Array]:
-    """Intervals (m, 1) of whole numbers k up to `last` for which `start` + k `step` is no longer than
-    `reach`: its square is quadratic in k."""
-    square = dot(step, step) + TINY
-    middle = -dot(start, step) / square
-    half = middle * middle - (dot(start, start) - reach * reach) / square
-    width = jnp.where(half >= 0, jnp.sqrt(jnp.maximum(half, 0.0)), -jnp.inf)
-    first, behind = _whole(middle - width, middle + width, last)
-    return first[:, None], behind[:, None]
-
-
-def _without(whole: tuple[Array, Array], part: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Intervals (m, 2): of intervals (m, 1) what lies before others and what lies behind them."""
-    (first, behind), (begin, end) = whole, part
-    empty = begin >= end
-    begin, end = jnp.where(empty, behind, begin), jnp.where(empty, behind, end)
-    starts = jnp.concatenate([first, jnp.maximum(first, end)], axis=1)
-    return starts, jnp.concatenate([jnp.minimum(behind, begin), behind], axis=1)
-
-
-def _whole(low: Array, high: Array, last: Array | int | np.ndarray) -> tuple[Array, Array]:
-    """Whole numbers from 0 to `last` between `low` and `high`: the first one and the one behind the last."""
-    first = jnp.ceil(jnp.clip(low - ROUNDING, 0.0, last + 1.0))
-    behind = jnp.floor(jnp.clip(high + ROUNDING, -1.0, last)) + 1.0
-    return first.astype(jnp.int32), behind.astype(jnp.int32)
-
-
-def _unit(a: Vec) -> Vec:
-    return scale(1.0 / jnp.sqrt(dot(a, a) + TINY), a)
