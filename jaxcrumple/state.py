@@ -193,6 +193,7 @@ def initial_state(scene: Scene, x: Array, v: Array | None = None, *, window: int
     # Explicit types: weakly typed leaves would make the second call of a program compile again.
     zero, nought = jnp.asarray(0, int), jnp.asarray(0.0, float)
     p = None if scene.plasticity is None else scene.bending.rest_curvature
+    history, kept, listing = _memory(scene, x, v, p)
     return State(
         t=nought,
         x=x,
@@ -202,13 +203,22 @@ def initial_state(scene: Scene, x: Array, v: Array | None = None, *, window: int
         h_explicit=nought,
         limit=nought,
         stage=jnp.asarray(-1, int),
-        listing=None if scene.contact is None else first_listing(scene.contact, x),
-        history=restart_history(x, v, p),
-        kept=_no_linearization(scene, restart_history(x, v, p)),
+        listing=listing,
+        history=history,
+        kept=kept,
         monitor=Monitor(jnp.zeros(window), zero, nought),
         counters=Counters(jnp.zeros(len(STAGES), int), jnp.zeros(len(CAUSES), int), zero, zero, zero, zero),
         result=RESULTS.success,  # type: ignore[arg-type]
     )
+
+
+def _memory(
+    scene: Scene, x: Array, v: Array, p: Array | None
+) -> tuple[History, Linearization, Listing | None]:
+    """What a state knows that begins here."""
+    history = restart_history(x, v, p)
+    listing = None if scene.contact is None else first_listing(scene.contact, x)
+    return history, _no_linearization(scene, history), listing
 
 
 def _no_linearization(scene: Scene, history: History) -> Linearization:
@@ -228,12 +238,10 @@ def first_listing(contact: Contact, x: Array) -> Listing:
 
 def restarted(scene: Scene, state: State, x: Array, v: Array) -> State:
     """The state at other positions `x` (n, 3) in m and velocities `v` (n, 3) in m/s, as if it began there."""
-    history = restart_history(x, v, state.p)
-    listing = None if scene.contact is None else first_listing(scene.contact, x)
     return eqx.tree_at(
         lambda s: (s.x, s.v, s.history, s.kept, s.listing),
         state,
-        (x, v, history, _no_linearization(scene, history), listing),
+        (x, v, *_memory(scene, x, v, state.p)),
         is_leaf=lambda leaf: leaf is None,
     )
 
