@@ -74,7 +74,7 @@ def killed(folder, resume, frame, seconds):
     settings = os.environ | {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "1e9"}
     arguments = [config().model_dump_json(), str(folder), "resume" if resume else "start"]
     process = subprocess.Popen([sys.executable, "-c", PROGRAM, *arguments], env=settings)
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 600
     while not (
         checkpoint.exists()
         and checkpoint.stat().st_mtime_ns > before
