@@ -16,7 +16,7 @@ from jaxcrumple.model.fans import LISTED_TURN
 from jaxcrumple.model.geometry import gather
 from jaxcrumple.model.grid import find_candidates
 from jaxcrumple.model.near import Around, no_candidates
-from jaxcrumple.model.search import Search
+from jaxcrumple.model.search import Search, _tree_pairs
 
 SIGMA = 0.5e-3
 
@@ -76,6 +76,19 @@ def test_no_pair_is_missed_wherever_the_sheet_lies_and_however_it_is_turned():
     candidates = found(scene, x @ turn.T + jnp.asarray([-3.0, 0.2, 7.0]), reach)
     pairs = np.asarray(candidates.triangles)[: int(candidates.count)]
     assert {*map(tuple, every_pair(scene, x, reach))} <= {*map(tuple, pairs)}
+
+
+def test_the_tree_misses_no_pair_of_fast_triangles():
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        center, radius = rng.uniform(size=(300, 3)), 0.02 * rng.uniform(size=300)
+        room = 0.01 * rng.pareto(1.0, 300)
+        apart = np.linalg.norm(center[:, None] - center, axis=2)
+        size = radius + room
+        wanted = np.argwhere(np.triu(apart <= 0.01 + size[:, None] + size, k=1))
+        pairs = _tree_pairs(center, radius, room, 0.01)
+        assert len(wanted) > 100
+        assert set(map(tuple, pairs)) == set(map(tuple, wanted))
 
 
 def test_pairs_with_two_sharp_ways_count_once():

@@ -10,8 +10,10 @@ import pytest
 from folded import folded, strip
 
 import jaxcrumple as jc
+from jaxcrumple.model.fans import PLACED_TURN
 from jaxcrumple.model.geometry import curvature
-from jaxcrumple.model.near import Room
+from jaxcrumple.model.near import Around, Room, pair_key
+from jaxcrumple.model.search import Search
 from jaxcrumple.renewal import Renewal, _with_candidates, _with_room
 from jaxcrumple.solvers.lists import largest_move, ready_for, renewed, start_lists
 from jaxcrumple.solvers.log import empty_log
@@ -55,6 +57,23 @@ def test_a_run_cut_anywhere_goes_on_to_the_same_bits(monkeypatch):
         for name in ("t", "x", "v", "h", "history", "kept", "listing"):
             for a, b in zip(*(jax.tree.leaves(getattr(s, name)) for s in (whole, rest)), strict=True):
                 assert np.asarray(a).tobytes() == np.asarray(b).tobytes(), (cut, name)
+
+
+def test_lists_and_places_are_those_that_a_state_waits_for():
+    scene, state = pressed_layers()
+    far = Around(state.x, jnp.full(scene.n_nodes, 3.0 * SIGMA))
+    needed = jnp.asarray([5000, 200_000, 400_000, 100_000])
+    waiting = eqx.tree_at(lambda s: (s.listing.matrix, s.listing.needed), state, (far, needed))
+    here, there = jc.with_contacts(scene, state), jc.with_contacts(scene, waiting)
+    assert int(here.contact.near.site_count) == int(there.contact.near.site_count) > 0
+    assert np.all(np.array(there.contact.near.room) >= needed[:3])
+    assert there.contact.candidates.triangles.shape[0] >= 100_000
+    pairs, _ = Search(scene.contact, scene.bending.nodes).find(
+        *map(np.asarray, (far.x, far.reach)), PLACED_TURN
+    )
+    keys = pair_key(jnp.asarray(pairs), len(scene.contact.faces))
+    assert np.all(np.isin(keys, there.pattern.contact.merged.keys))
+    assert not np.all(np.isin(keys, here.pattern.contact.merged.keys))
 
 
 @pytest.mark.slow

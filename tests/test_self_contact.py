@@ -8,7 +8,7 @@ import pytest
 from folded import brute_force, folded, strip
 
 import jaxcrumple as jc
-from jaxcrumple.model.contact import CLOSER
+from jaxcrumple.model.contact import CLOSER, Contact
 
 SIGMA, PARTS = 0.5e-3, 4
 
@@ -141,6 +141,56 @@ def test_barrier_is_infinite_before_layers_touch():
     assert 0 < float(scene.contact.energy(x)) < np.inf
     _, scene, x = layers(0.1, potential="barrier", level=None)
     assert np.isinf(scene.contact.energy(x))
+
+
+def test_a_barrier_is_finite_where_a_fold_is_sharp():
+    mesh, options = jc.hexagonal(9, 6, 1.1e-3), jc.SelfContact("barrier", range=SIGMA)
+    x = jnp.asarray(creased(mesh, 18.0))
+
+    def contact_of(mesh: jc.Mesh) -> Contact:
+        scene = jc.sheet(mesh, jc.Material(thickness=0.3e-3), contact=options)
+        return jc.with_contacts(scene, x).contact
+
+    # Let the first pair of triangles share its third corner, so that its first pair of sites is one point.
+    faces, near = np.array(mesh.faces), contact_of(mesh).near
+    for one, two in np.asarray(near.triangles)[: int(near.pair_count)]:
+        shared = set(faces[one]) & set(faces[two])
+        if len(shared) == 1:
+            break
+    order = [one, two, *(k for k in range(len(faces)) if k not in (one, two))]
+    faces = faces[order]
+    for k in range(2):
+        faces[k] = np.roll(faces[k], 2 - list(faces[k]).index(*shared))
+    contact = contact_of(jc.Mesh.from_arrays(mesh.vertices, faces, reorder=False))
+    assert list(contact.near.triangles[0]) == [0, 1]
+    assert int(contact.near.found[0]) == 0
+    assert int(contact.gaps(x)[1]) % 256 > 0
+    assert 0 < float(contact.energy(x)) < np.inf
+    assert np.all(np.isfinite(contact.force(x)))
+    assert np.all(np.isfinite(contact.stiffness_bound(x)))
+
+
+def test_a_sheet_whose_triangles_all_share_a_node_has_no_contact():
+    angle = np.arange(6) * np.pi / 3
+    rim = 1e-2 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    mesh = jc.Mesh.from_arrays(
+        np.vstack([[[0.0, 0.0]], rim]), [[0, 1 + k, 1 + (k + 1) % 6] for k in range(6)]
+    )
+    bent = mesh.vertices + np.array([0.0, 0.0, 20.0]) * mesh.vertices[:, :1] ** 2
+    material = jc.Material(thickness=0.3e-3, yield_curvature=None)
+    relaxed = []
+    for options in (None, jc.SelfContact(range=SIGMA)):
+        scene = jc.sheet(mesh, material, contact=options)
+        state = jc.initial_state(scene, bent)
+        if options is not None:
+            listed = jc.with_contacts(scene, bent)
+            assert int(listed.contact.candidates.count) == 0
+            assert float(listed.contact.energy(state.x)) == 0.0
+        relaxed.append(jc.relax(scene, state, force_tolerance=1e-9, linear="two-level"))
+        assert bool(relaxed[-1].converged)
+    # Each may have turned as a whole.
+    apart = [np.linalg.norm(one.state.x[:, None] - one.state.x, axis=2) for one in relaxed]
+    np.testing.assert_allclose(apart[1], apart[0], atol=1e-5 * SIGMA)
 
 
 def test_stiffness_bound_next_to_the_core_of_a_barrier():
