@@ -9,19 +9,25 @@ from numpy.typing import ArrayLike
 from jaxcrumple.model.fans import PLACED_TURN
 from jaxcrumple.model.fields import is_known
 from jaxcrumple.model.merger import Merger
-from jaxcrumple.model.near import SOON, Around, Candidates, Room, doubled, no_candidates, no_neighbors
+from jaxcrumple.model.near import (
+    SOON,
+    Around,
+    Candidates,
+    Room,
+    doubled,
+    first_room,
+    no_candidates,
+    no_neighbors,
+)
 from jaxcrumple.model.neighbors import find_near
 from jaxcrumple.model.scene import Scene, with_near
 from jaxcrumple.model.search import Search
 from jaxcrumple.state import State, check_positions, first_listing
 
 _find_near = eqx.filter_jit(find_near)
-# First room of the lists: for each node, pairs of triangles that may meet, those near or with a place in the
-# matrix, sites there, and pairs. In a fine mesh the next neighbours of all triangles are among the first.
-# What a crumple to a third of its size needs fits; more costs each step, for lists are written whole.
-ROOM_PER_NODE = (16, 1, 16, 32)
-# The same at least: sites that meet are as many in a coarse mesh.
-SMALLEST_ROOM = (32_000, 1000, 32_000, 64_000)
+# First room for candidates by node, and at least: in a fine mesh the next neighbours of all triangles are
+# among them.
+CANDIDATES_PER_NODE, LEAST_CANDIDATES = 16, 32_000
 
 
 class Renewal:
@@ -35,11 +41,10 @@ class Renewal:
         assert contact is not None and scene.pattern.contact is not None
         self.search = Search(contact, np.asarray(scene.bending.nodes))
         self.merger = Merger(scene.pattern, np.asarray(contact.faces)) if merged else None
-        sizes = zip(ROOM_PER_NODE, SMALLEST_ROOM, strict=True)
-        rooms = [max(share * scene.n_nodes, least) for share, least in sizes]
-        self.candidates = max(rooms[0], contact.candidates.triangles.shape[0])
-        old = contact.near.room
-        self.room = Room(*(max(new, before) for new, before in zip(rooms[1:], old, strict=True)))
+        least = max(CANDIDATES_PER_NODE * scene.n_nodes, LEAST_CANDIDATES)
+        self.candidates = max(least, contact.candidates.triangles.shape[0])
+        sizes = zip(first_room(scene.n_nodes), contact.near.room, strict=True)
+        self.room = Room(*(max(first, before) for first, before in sizes))
         self.places = 2 * self.room.triangles
 
     def __call__(self, scene: Scene, state: State) -> Scene:
@@ -67,7 +72,8 @@ class Renewal:
         run does."""
         assert scene.contact is not None
         if int(scene.contact.candidates.count) == 0:
-            return scene
+            # Nobody to look for.
+            return with_near(scene, eqx.tree_at(lambda near: near.around, scene.contact.near, around))
         while True:
             assert scene.contact is not None
             near = _find_near(scene.contact, around)
@@ -120,28 +126,35 @@ def _with_candidates(scene: Scene, size: int) -> Scene:
     return eqx.tree_at(lambda s: s.contact.candidates, scene, no_candidates(scene.n_nodes, ways, size))
 
 
-def with_contacts(scene: Scene, x: ArrayLike, needed: ArrayLike = (0, 0, 0, 0)) -> Scene:
+def with_contacts(scene: Scene, x: ArrayLike | State, needed: ArrayLike | None = None) -> Scene:
     """The scene with its lists of contact made for positions `x` (n, 3) in m, on the host.
 
     Energies, forces and tangents of a self-avoiding scene hold near the positions that its lists were made
     for, and are NaN elsewhere; `simulate` makes its own. `integrate`, also under `vmap`, makes new ones on
     its way, and stops, with the result "success" before its end time, where they grow longer than these
     (`state.listing.needed`) or where a direct solver's matrix lacks a place (`state.listing.stale`). Both are
-    mended by `with_contacts(scene, state.x, state.listing.needed)`, of a batch the largest numbers. A scene
-    without contact is returned as it is.
+    mended by `with_contacts(scene, state)`. A scene without contact is returned as it is.
 
-    **Arguments:** `needed` (4,): pairs of triangles, sites and pairs of sites that are near, and pairs of
-    triangles that may meet, for which there must be room.
+    **Arguments:**
+
+    - `x`: positions, or a `State`, whose lists are then made.
+    - `needed` (4,): pairs of triangles, sites and pairs of sites that are near, and pairs of triangles that
+      may meet, for which there must be room; by default what the state needs. A batch needs the largest
+      numbers of its states.
 
     **Raises:** ValueError for positions of another shape or not finite, or inside a function that JAX traces.
     """
     contact = scene.contact
     if contact is None:
         return scene
-    if not is_known(x, scene.mass):
+    listing = x.listing if isinstance(x, State) else None
+    positions = x.x if isinstance(x, State) else x
+    if not is_known(positions, scene.mass):
         raise ValueError("with_contacts looks at positions on the host: call it outside jit, grad and vmap.")
-    check_positions("x", x, scene.n_nodes)
-    listing = first_listing(contact, jnp.asarray(x, float))
+    check_positions("x", positions, scene.n_nodes)
+    if listing is None:
+        listing = first_listing(contact, jnp.asarray(positions, float))
     renewal = Renewal(scene, merged=True)
-    scene = renewal.searched(renewal.grown(scene, np.asarray(needed)), listing.candidates)
+    scene = renewal.grown(scene, np.asarray(listing.needed if needed is None else needed))
+    scene = renewal.searched(scene, listing.candidates)
     return renewal.filled(renewal.placed(scene, listing.matrix), listing.near)

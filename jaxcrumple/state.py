@@ -117,11 +117,13 @@ class Linearization(eqx.Module):
 
 
 class Monitor(eqx.Module):
-    """The acceleration monitor: last ratios a_max/a_ref, steps and time since the stage began."""
+    """The acceleration monitor: last ratios a_max/a_ref, steps and time since the stage began, and whether
+    the stability limit was measured since the last step."""
 
     ratios: Array
     steps: Array
     since: Array
+    measured: Array
 
 
 class Counters(eqx.Module):
@@ -206,10 +208,15 @@ def initial_state(scene: Scene, x: Array, v: Array | None = None, *, window: int
         listing=listing,
         history=history,
         kept=kept,
-        monitor=Monitor(jnp.zeros(window), zero, nought),
+        monitor=fresh_monitor(window),
         counters=Counters(jnp.zeros(len(STAGES), int), jnp.zeros(len(CAUSES), int), zero, zero, zero, zero),
         result=RESULTS.success,  # type: ignore[arg-type]
     )
+
+
+def fresh_monitor(window: int) -> Monitor:
+    """Monitor at the start of a stage, of the last `window` steps."""
+    return Monitor(jnp.zeros(window), jnp.asarray(0, int), jnp.asarray(0.0, float), jnp.asarray(False))
 
 
 def _memory(
@@ -237,11 +244,12 @@ def first_listing(contact: Contact, x: Array) -> Listing:
 
 
 def restarted(scene: Scene, state: State, x: Array, v: Array) -> State:
-    """The state at other positions `x` (n, 3) in m and velocities `v` (n, 3) in m/s, as if it began there."""
+    """The state at other positions `x` (n, 3) in m and velocities `v` (n, 3) in m/s: it remembers nothing of
+    others but its stage and its steps."""
     return eqx.tree_at(
-        lambda s: (s.x, s.v, s.history, s.kept, s.listing),
+        lambda s: (s.x, s.v, s.monitor, s.history, s.kept, s.listing),
         state,
-        (x, v, *_memory(scene, x, v, state.p)),
+        (x, v, fresh_monitor(state.monitor.ratios.shape[0]), *_memory(scene, x, v, state.p)),
         is_leaf=lambda leaf: leaf is None,
     )
 

@@ -14,13 +14,19 @@ SIDE = 32
 
 
 def accumulate(
-    add: Callable[[Any, Any, Array], Any], start: Any, arguments: Any, count: Array, room: int, chunk: int
+    add: Callable[[Any, Any, Array, Array], Any],
+    start: Any,
+    arguments: Any,
+    count: Array,
+    room: int,
+    chunk: int,
 ) -> Any:
     """`start` with what the first `count` entries of a list with `room` add to it.
 
-    `add(total, arguments, places)` adds those at `places` (chunk,), of which the ones from `count` on must
-    add nothing; it closes over no number that is differentiated. The loop ends with the list; derivatives, of
-    any order and mode, come from one that has as many rounds as the list has room, and skips those beyond.
+    `add(total, arguments, places, held)` adds those at `places` (chunk,) that are `held` (chunk,), and
+    nothing where one is not; it closes over no number that is differentiated. The loop ends with the list;
+    derivatives, of any order and mode, come from one that has as many rounds as the list has room, and skips
+    those beyond.
     """
     return _accumulate(start, arguments, count, add=add, room=room, chunk=min(chunk, room))
 
@@ -29,7 +35,7 @@ def accumulate(
 def _accumulate(start: Any, arguments: Any, count: Array, *, add, room: int, chunk: int) -> Any:
     def body(carry: tuple[Array, Any]) -> tuple[Array, Any]:
         first, total = carry
-        return first + chunk, add(total, arguments, _places(first, room, chunk))
+        return first + chunk, add(total, arguments, *_places(first, count, room, chunk))
 
     return jax.lax.while_loop(lambda carry: carry[0] < count, body, (jnp.zeros_like(count), start))[1]
 
@@ -41,17 +47,18 @@ def _derivative(primals, tangents, *, add, room: int, chunk: int):
 
     def whole(start: Any, arguments: Any) -> Any:
         def body(total: Any, first: Array) -> tuple[Any, None]:
-            places = _places(first, room, chunk)
-            return jax.lax.cond(first < count, lambda: add(total, arguments, places), lambda: total), None
+            places = _places(first, count, room, chunk)
+            return jax.lax.cond(first < count, lambda: add(total, arguments, *places), lambda: total), None
 
         return jax.lax.scan(body, start, jnp.arange(0, room, chunk))[0]
 
     return eqx.filter_jvp(whole, (start, arguments), (moved, changed))
 
 
-def _places(first: Array, room: int, chunk: int) -> Array:
-    """Places (chunk,) from `first` on; those beyond the list are its last one or lie beyond its `count`."""
-    return jnp.minimum(first + jnp.arange(chunk), room - 1)
+def _places(first: Array, count: Array, room: int, chunk: int) -> tuple[Array, Array]:
+    """Places (chunk,) from `first` on, none beyond the `room`, and which are among the first `count`."""
+    at = first + jnp.arange(chunk)
+    return jnp.minimum(at, room - 1), at < count
 
 
 def compacted(
@@ -132,7 +139,7 @@ def filled(value: Callable[[Array], Array], count: Array, shape: tuple[int, int]
 
     def body(carry: tuple[Array, Array]) -> tuple[Array, Array]:
         first, rows = carry
-        part = value(_places(first, size, chunk))
+        part = value(_places(first, count, size, chunk)[0])
         return first + chunk, jax.lax.dynamic_update_slice(rows, part, (first, jnp.zeros_like(first)))
 
     start = jnp.asarray(0), jnp.zeros((size + chunk, shape[1]))

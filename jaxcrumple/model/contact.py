@@ -218,11 +218,12 @@ class Contact(eqx.Module):
         """`nothing` with what the pairs near enough add; NaN where the list does not hold."""
         picked, count = self._interacting(x)
 
-        def add_at(total: Any, arguments: tuple["Contact", Array, Array, Array], at: Array) -> Any:
-            contact, x, picked, count = arguments
-            return add(total, contact, x, contact._pairs(picked[at], at < count))
+        def add_at(total: Any, arguments: tuple["Contact", Array, Array], at: Array, held: Array) -> Any:
+            contact, x, picked = arguments
+            # What stands beyond may lie in the core of a barrier, and infinity times nothing is not nothing.
+            return add(total, contact, x, contact._pairs(picked[jnp.where(held, at, 0)], held))
 
-        value = accumulate(add_at, nothing, (self, x, picked, count), count, picked.shape[0], ACTIVE)
+        value = accumulate(add_at, nothing, (self, x, picked), count, picked.shape[0], ACTIVE)
         holds = self.covers(x)
         return jax.tree.map(lambda total: jnp.where(holds, total, jnp.nan), value)
 

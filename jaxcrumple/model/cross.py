@@ -58,9 +58,9 @@ class Cross(eqx.Module):
     def product(self, appended: Array, x: Array) -> Array:
         """Appended values (81 t + n,) times vector (3n,)."""
 
-        def add(total: Array, arguments: tuple["Cross", Array, Array], at: Array) -> Array:
+        def add(total: Array, arguments: tuple["Cross", Array, Array], at: Array, held: Array) -> Array:
             cross, blocks, points = arguments
-            blocks, nodes = cross._held(blocks, at), cross.nodes[at]
+            blocks, nodes = _kept(blocks[at], held), cross.nodes[at]
             one, two = nodes[:, :3], nodes[:, 3:]
             first = jnp.einsum("tijab,tjb->tia", blocks, points[two])
             second = jnp.einsum("tijab,tia->tjb", blocks, points[one])
@@ -99,14 +99,14 @@ class Cross(eqx.Module):
         merged = self.merged
         values = jnp.zeros(merged.indices.shape[0], own.dtype).at[merged.place].set(own)
 
-        def add(total: Array, arguments: tuple["Cross", Merged, Array], at: Array) -> Array:
+        def add(total: Array, arguments: tuple["Cross", Merged, Array], at: Array, held: Array) -> Array:
             cross, merged, blocks = arguments
             nodes = cross.nodes[at]
             twice = nodes[:, :3, None] == nodes[:, None, 3:]
             # A node that both triangles have is met from both sides.
             factor = jnp.where(twice, 2.0, 1.0)[..., None, None]
             entries = merged.cross[cross._rows(merged, at)]
-            return total.at[entries].add((cross._held(blocks, at) * factor).reshape(-1, SIZE), mode="drop")
+            return total.at[entries].add((_kept(blocks[at], held) * factor).reshape(-1, SIZE), mode="drop")
 
         arguments = (self, merged, self._blocks(appended))
         return accumulate(add, values, arguments, self.count, self.triangles.shape[0], CHUNK)
@@ -126,12 +126,12 @@ class Cross(eqx.Module):
     def _keys(self, at: Array) -> Array:
         return pair_key(self.triangles[at], self.face_blocks.shape[0])
 
-    def _held(self, values: Array, at: Array) -> Array:
-        """`values` (t, ...) at places (c,), zeros beyond the last pair."""
-        held = (at < self.count).reshape(-1, *[1] * (values.ndim - 1))
-        return jnp.where(held, values[at], jnp.zeros((), values.dtype))
-
     def _blocks(self, appended: Array) -> Array:
         """Blocks (t, 3, 3, 3, 3) of appended values: pair of triangles, node of the one, of the other,
         components."""
         return appended[: self.size].reshape(-1, 3, 3, 3, 3)
+
+
+def _kept(blocks: Array, held: Array) -> Array:
+    """Those of `blocks` (c, 3, 3, 3, 3) that are `held` (c,), zeros for the others."""
+    return jnp.where(held[:, None, None, None, None], blocks, 0.0)

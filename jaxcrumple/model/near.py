@@ -97,6 +97,14 @@ class Room(NamedTuple):
 
 
 SMALLEST = Room()
+# First sizes for a sheet, by node, and the least of them: sites that meet are as many in a coarse mesh. What
+# a crumple to a third of its size needs fits; more costs each step, for lists are written whole.
+ROOM_PER_NODE, SMALLEST_ROOM = Room(1, 16, 32), Room(1000, 32_000, 64_000)
+
+
+def first_room(n: int) -> Room:
+    """Sizes of the first list of a sheet with `n` nodes."""
+    return Room(*(max(share * n, least) for share, least in zip(ROOM_PER_NODE, SMALLEST_ROOM, strict=True)))
 
 
 def doubled(size: int, needed: int) -> int:

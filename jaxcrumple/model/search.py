@@ -84,9 +84,8 @@ def _tree_pairs(center: np.ndarray, radius: np.ndarray, room: np.ndarray, sigma:
     near = tree.query_ball_point(center[fast], radius[fast] + radius.max() + sigma + 2.0 * room[fast])
     one = np.repeat(fast, np.fromiter(map(len, near), int, len(fast)))
     two = np.fromiter(itertools.chain.from_iterable(near), int, len(one))
-    # Of two fast ones each finds the other.
-    once = (one < two) | (room[two] <= common)
-    one, two = np.minimum(one, two)[once], np.maximum(one, two)[once]
+    # Of two fast ones that with more room finds the other, and perhaps both do.
+    one, two = np.minimum(one, two), np.maximum(one, two)
     pairs.append(_in_balls(center, radius + room, sigma, (one, two), (1.0 - 1e-9) * usual))
     return np.concatenate(pairs)
 

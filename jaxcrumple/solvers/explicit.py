@@ -169,7 +169,9 @@ def attempt(
     """Try an explicit step of size `h`; `fresh` says that `stages` must be computed anew."""
     y0 = (state.x, state.v, state.p)
     t1 = state.t + h
-    y1, error, _, stages, _ = _SOLVER.step(_TERM, state.t, t1, y0, scene, stages, fresh)
+    # A stage handed on is that of the point before supports are put in their places.
+    anew = fresh if scene.prescribed is None else jnp.asarray(True)
+    y1, error, _, stages, _ = _SOLVER.step(_TERM, state.t, t1, y0, scene, stages, anew)
     controller = _controller(scene, options, cap)
     # The derivative at the new point is in the error alone.
     units = _error_norm(scene, options, error)

@@ -11,8 +11,17 @@ from jaxcrumple.model.fields import select
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.log import AFTER, BEFORE, Log, Row, append
 from jaxcrumple.solvers.scheme import Integrator
-from jaxcrumple.solvers.switch import fresh_monitor, has_settled, wants_inertia
-from jaxcrumple.state import CAUSES, EXPLICIT, IMPLICIT, NEVER, QUASISTATIC, State, restart_history
+from jaxcrumple.solvers.switch import has_settled, wants_inertia
+from jaxcrumple.state import (
+    CAUSES,
+    EXPLICIT,
+    IMPLICIT,
+    NEVER,
+    QUASISTATIC,
+    State,
+    fresh_monitor,
+    restart_history,
+)
 from jaxcrumple.system import energies
 
 # A quasistatic step below this share of the explicit stability limit hands over: to integrate the
@@ -105,7 +114,7 @@ def _changed(state: State, handover: Handover) -> State:
             jnp.where(explicit, state.h, handover.h),
             jnp.where(explicit, handover.h, state.h_explicit),
             history,
-            fresh_monitor(state.monitor),
+            fresh_monitor(state.monitor.ratios.shape[0]),
             state.counters.switches + 1,
             jnp.asarray(NEVER, int),
         ),

@@ -56,7 +56,6 @@ class _Carry(NamedTuple):
     factor: Factor | None
     held: Array
     handover: Handover
-    measured: Array
     spent: Array
     rounds: Array
     left: Array
@@ -83,12 +82,10 @@ def integrate(
     state = eqx.tree_at(lambda s: (s.h, s.stage), state, (start_h, stage))
     factor = None if solver.implicit is None else solver.implicit.linear.start(scene.pattern)
     left, log = as_float(max_attempts), empty_log(LOG_CAPACITY)
-    no, nothing = jnp.asarray(False), jnp.asarray(0)
+    nothing = jnp.asarray(0)
     # A factor serves the steps after its own with solvers whose factors are exact.
     held = jnp.asarray(solver.implicit is None or not solver.implicit.linear.exact)
-    carry = _Carry(
-        state, lists, log, factor, held, stay(state), no, nothing, nothing, left, state.t >= t_stop
-    )
+    carry = _Carry(state, lists, log, factor, held, stay(state), nothing, nothing, left, state.t >= t_stop)
 
     def stages(carry: _Carry) -> _Carry:
         carry = _renewed(scene, carry._replace(rounds=carry.rounds + 1))
@@ -117,15 +114,17 @@ def _renewed(scene: Scene, carry: _Carry) -> _Carry:
     now, waiting = listed(scene, lists), waits(state)
     due = _limit_is_due(carry) & ~waiting
     limit = jax.lax.cond(due, lambda: explicit.stability_limit(now, state.x, state.t), lambda: state.limit)
-    state = eqx.tree_at(lambda s: s.limit, state, limit)
+    measured = state.monitor.measured | due
+    state = eqx.tree_at(lambda s: (s.limit, s.monitor.measured), state, (limit, measured))
     unsound = ~_is_sound(scene, state) & ~waiting
     state = _with_result(state, unsound, RESULTS.nonfinite)
-    return carry._replace(state=state, lists=lists, measured=carry.measured | due)
+    return carry._replace(state=state, lists=lists)
 
 
 def _limit_is_due(carry: _Carry) -> Array:
     """Whether the stability limit must be measured before the next step."""
-    return (carry.state.monitor.steps % LIMIT_EVERY == 0) & ~carry.measured & ~_restores(carry)
+    monitor = carry.state.monitor
+    return (monitor.steps % LIMIT_EVERY == 0) & ~monitor.measured & ~_restores(carry)
 
 
 def _restores(carry: _Carry) -> Array:
@@ -160,7 +159,6 @@ def _tried(
         state=state,
         log=log,
         handover=handover,
-        measured=carry.measured & ~accepted,
         spent=carry.spent + cost,
         rounds=jnp.zeros_like(carry.rounds),
         left=carry.left - 1.0,

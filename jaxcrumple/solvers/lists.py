@@ -12,7 +12,7 @@ from jaxcrumple.model.contact import APART_AHEAD, Contact
 from jaxcrumple.model.fans import DUE_TURN, MOST_TURN
 from jaxcrumple.model.fields import select
 from jaxcrumple.model.grid import find_candidates
-from jaxcrumple.model.near import Around, Candidates, Near, motion
+from jaxcrumple.model.near import Around, Candidates, Near, first_room, motion
 from jaxcrumple.model.neighbors import find_near
 from jaxcrumple.model.scene import Scene, with_near
 from jaxcrumple.state import NEVER, Listing, State
@@ -104,8 +104,7 @@ def renewed(scene: Scene, state: State, lists: Lists | None) -> tuple[State, Lis
     near = jax.lax.cond(lists.due, lambda: find_near(contact, lists.close), lambda: lists.near)
     needed = jnp.append(near.needed, lists.candidates.count)
     # A list that is too long for a far step is not worth room: it tells that steps must be shorter.
-    far = jnp.max(lists.close.reach) > LONGEST * contact.range
-    full = jnp.any(near.overflow) & ~far
+    full = jnp.any(near.overflow) & ~_far(contact, lists)
     full = full | (lists.candidates.count > lists.candidates.triangles.shape[0])
     state = eqx.tree_at(lambda s: s.listing.needed, state, jnp.where(full, needed, 0))
     return state, lists._replace(near=near, due=jnp.asarray(False))
@@ -147,7 +146,10 @@ def ready_for(
     )
     blunt = contact.sharpest(scene.bending.hinges(state.x).theta) < DUE_TURN
     wide = known & ~((listing.candidates.covers(ahead, spare) | apart) & blunt)
-    holds = listing.near.covers(state.x) & listing.near.covers(ahead, spare) & ~jnp.any(lists.near.overflow)
+    # What grew on the way must not decide, or a run would go on otherwise where it is resumed.
+    crowded = _far(contact, lists) & jnp.any(lists.near.needed > jnp.asarray(first_room(scene.n_nodes)))
+    holds = listing.near.covers(state.x) & listing.near.covers(ahead, spare)
+    holds = holds & ~jnp.any(lists.near.overflow) & ~crowded
     loose = jnp.mean(listing.near.reach) > LOOSE * jnp.mean(near.reach)
     close = wide | (known & ~apart & (loose | ~holds))
     stale = known & ~close & ~_have_places(scene, lists)
@@ -174,6 +176,11 @@ def ready_to_restore(scene: Scene, state: State, lists: Lists | None) -> tuple[L
     lists = lists._replace(wide=there, close=there)
     ready = _made(lists)
     return lists._replace(due=~ready), ready
+
+
+def _far(contact: Contact, lists: Lists) -> Array:
+    """Whether the list of sites is one for a step that is longer than those where something is near."""
+    return ~lists.short & (jnp.max(lists.close.reach) > LONGEST * contact.range)
 
 
 def _have_places(scene: Scene, lists: Lists) -> Array:

@@ -34,7 +34,7 @@ class Integrator(eqx.Module):
     - `implicit`, `explicit`: their steps; None where no stage needs them.
     - `switch`: when to change the stage.
     - `first_step`: first implicit step of a run in s.
-    - `restart_steps`: first implicit step after an explicit stage, in explicit stability limits.
+    - `restart_steps`: first quasistatic step after an explicit stage, in explicit stability limits.
     - `max_step`: largest step in s.
     """
 

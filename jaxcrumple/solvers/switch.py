@@ -3,7 +3,6 @@
 from typing import Any, Literal, get_args
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -71,14 +70,9 @@ def observe(
     counted = (stage != QUASISTATIC) | (monitor.steps >= switch.ignore)
     ratio = jnp.where(counted, largest / scene.reference_acceleration, 0.0)
     ratios = jnp.concatenate([ratio[None], monitor.ratios[:-1]])
-    seen = Monitor(ratios, monitor.steps + 1, monitor.since + h)
+    seen = Monitor(ratios, monitor.steps + 1, monitor.since + h, jnp.asarray(False))
     restless = (stage == IMPLICIT) & (switch.measured(scene, seen) >= switch.down)
     return eqx.tree_at(lambda m: m.since, seen, jnp.where(restless, 0.0, seen.since))
-
-
-def fresh_monitor(monitor: Monitor) -> Monitor:
-    """Monitor at the start of a stage."""
-    return jax.tree.map(jnp.zeros_like, monitor)
 
 
 def wants_inertia(scene: Scene, monitor: Monitor, switch: Switch) -> Array:
