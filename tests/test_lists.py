@@ -80,8 +80,9 @@ def test_lists_and_places_are_those_that_a_state_waits_for():
 def test_lists_with_room_for_one_grow_and_change_no_bit(monkeypatch):
     scene, state = pressed_layers()
     roomy = jc.simulate(scene, state, 1.0, max_attempts=48).state
-    for name in ("ROOM_PER_NODE", "SMALLEST_ROOM"):
-        monkeypatch.setattr(f"jaxcrumple.renewal.{name}", (0, 0, 0, 0))
+    for name in ("CANDIDATES_PER_NODE", "LEAST_CANDIDATES"):
+        monkeypatch.setattr(f"jaxcrumple.renewal.{name}", 0)
+    monkeypatch.setattr("jaxcrumple.renewal.first_room", lambda n: Room(1, 1, 1))
     # They are filled before the run compiles, with room to spare.
     once = eqx.filter_jit(eqx.debug.assert_max_traces(jc.integrate, max_traces=1))
     monkeypatch.setattr(importlib.import_module("jaxcrumple.simulate"), "_integrate", once)
