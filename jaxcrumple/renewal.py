@@ -147,8 +147,7 @@ def with_contacts(scene: Scene, x: ArrayLike | State, needed: ArrayLike | None =
     contact = scene.contact
     if contact is None:
         return scene
-    listing = x.listing if isinstance(x, State) else None
-    positions = x.x if isinstance(x, State) else x
+    listing, positions = (x.listing, x.x) if isinstance(x, State) else (None, x)
     if not is_known(positions, scene.mass):
         raise ValueError("with_contacts looks at positions on the host: call it outside jit, grad and vmap.")
     check_positions("x", positions, scene.n_nodes)

@@ -75,7 +75,8 @@ class Search:
 
 
 def _tree_pairs(center: np.ndarray, radius: np.ndarray, room: np.ndarray, sigma: float) -> np.ndarray:
-    """Pairs (m, 2), first below second, whose balls of `radius` come within sigma and the room of both."""
+    """Pairs (m, 2), first below second, some of them twice, whose balls of `radius` come within sigma and the
+    room of both."""
     tree = cKDTree(center)
     common = np.quantile(room, 1.0 - FAST)
     usual = 2.0 * radius.max() + sigma + 2.0 * common
