@@ -11,6 +11,7 @@ from jaxcrumple.model.loads import ElementEnergy, Gravity, LinearMotion, Prescri
 from jaxcrumple.model.plasticity import AbstractFlowRule, SmoothstepFlow
 from jaxcrumple.model.scene import Scene, sheet
 from jaxcrumple.renewal import with_contacts
+from jaxcrumple.replay import Record, Replay, replay
 from jaxcrumple.run import resume_run, start_run
 from jaxcrumple.scenes import arch, cap, energy_drop, radial, relaxed_drop
 from jaxcrumple.simulate import SimulationError, Solution, frame_times, simulate
@@ -39,6 +40,8 @@ __all__ = [
     "Plane",
     "Prescribed",
     "Ramp",
+    "Record",
+    "Replay",
     "Run",
     "RunDirectoryError",
     "Scene",
@@ -71,6 +74,7 @@ __all__ = [
     "rectangle",
     "relax",
     "relaxed_drop",
+    "replay",
     "resume_run",
     "sheet",
     "simulate",

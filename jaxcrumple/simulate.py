@@ -14,8 +14,9 @@ from numpy.typing import ArrayLike
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.renewal import Renewal
+from jaxcrumple.replay.record import Record, Recorder
 from jaxcrumple.solvers.integrate import integrate
-from jaxcrumple.solvers.log import AFTER, BEFORE, Row
+from jaxcrumple.solvers.log import AFTER, BEFORE, Log, Row
 from jaxcrumple.solvers.scheme import Integrator, integrator
 from jaxcrumple.start import check_gap, check_start, pierced
 from jaxcrumple.state import CAUSES, EXPLICIT, IMPLICIT, QUASISTATIC, RESULTS, STAGES, State, check_state
@@ -26,6 +27,8 @@ CHUNK = 1.0
 # A call of `integrate` takes so many seconds, or as long as so many attempts: each starts by making lists and
 # a factor again, and reports and checkpoints wait for its end.
 CALL, SHORTEST = 8.0, 32.0
+# Steps of a call of a run that is recorded: their positions are copied with the loop's other numbers.
+TRAIL = 256
 # Calls in turn that wait for a list and make no attempt: more than each list can double.
 MOST_WAITS = 100
 _integrate = eqx.filter_jit(integrate)
@@ -58,7 +61,8 @@ class Solution:
 
     `state` the last good state; `result` one of the names of `RESULTS` and its `message`; frames at
     times `t` (f,) s with positions `x` (f, n, 3) m, velocities `v` (f, n, 3) m/s and rest curvatures
-    `p` (f, h) or None; `history` and `events` as tables; `compile_s` and `run_s` wall seconds.
+    `p` (f, h) or None; `history` and `events` as tables; `compile_s` and `run_s` wall seconds; `record`: the
+    accepted steps for `replay`, where they were asked for.
     """
 
     state: State
@@ -72,6 +76,7 @@ class Solution:
     events: pd.DataFrame
     compile_s: float
     run_s: float
+    record: Record | None = None
 
     def __repr__(self) -> str:
         spent = f"{int(np.sum(self.state.counters.steps))} steps in {self.run_s:.1f} s"
@@ -79,7 +84,7 @@ class Solution:
 
 
 @dataclass
-class _Record:
+class _Kept:
     t: list[float] = field(default_factory=list)
     x: list[np.ndarray] = field(default_factory=list)
     v: list[np.ndarray] = field(default_factory=list)
@@ -110,6 +115,7 @@ def simulate(
     max_attempts: int | None = None,
     max_seconds: float | None = None,
     throw: bool = False,
+    record: bool = False,
 ) -> Solution:
     """Run a scene from a state, with a frame at each of `times` (s); the last one ends the run.
 
@@ -122,6 +128,8 @@ def simulate(
     - `max_attempts`, `max_seconds`: budget of step attempts and of wall time; a run that exceeds one
       stops with the result "budget".
     - `throw`: raise `SimulationError` when the result is not "success".
+    - `record`: keep the accepted steps, so that the run can be differentiated by `replay`. Its equations are
+      solved further than usual, and it keeps positions (n, 3) for each step.
 
     **Raises:** ValueError for times that are not finite, not increasing or before the state's, for a
     state of another scene or what is not a solver, and for a sheet that starts behind a wall or, in a scene
@@ -133,29 +141,38 @@ def simulate(
     solver = integrator() if solver is None else solver
     if not isinstance(solver, Integrator):
         raise ValueError(f"solver = {solver!r} must be what jaxcrumple.integrator(rtol, scheme=...) makes.")
-    record = _Record()
-    watchers = (record, *observers)
+    kept, recorder = _Kept(), None
+    if record:
+        recorder = Recorder(state, solver)
+        solver = recorder.solver(solver)
+    watchers = (kept, *observers)
     with limited_blas():
         renewal = None
         if scene.contact is not None:
             renewal = Renewal(scene, solver.one_matrix)
             scene = renewal.first(scene, state)
             check_gap(scene, state)
-        compile_s = _compile(scene, state, solver)
+        compile_s = _compile(scene, state, solver, recorder)
         start = time.perf_counter()
         budget = _Budget(state, max_attempts, max_seconds)
         state = eqx.tree_at(lambda s: s.result, state, RESULTS.success)
         for index in range(first_frame, len(stops)):
-            scene, state = _advance(scene, state, stops[index], solver, watchers, index, budget, renewal)
+            scene, state = _advance(
+                scene, state, stops[index], solver, watchers, index, budget, renewal, recorder
+            )
             if _name(state) != "success":
                 break
             for watcher in watchers:
                 watcher.frame(index, state)
+            if recorder is not None:
+                recorder.frame(stops[index])
             if scene.contact is not None and len(pierced(scene, state.x)):
                 state = eqx.tree_at(lambda s: s.result, state, RESULTS.intersected)
                 break
         run_s = time.perf_counter() - start
-    solution = _solution(state, record, compile_s, run_s)
+    solution = _solution(state, kept, compile_s, run_s)
+    if recorder is not None:
+        solution.record = recorder.finished(scene, solver)
     if throw and solution.result != "success":
         raise SimulationError(solution)
     return solution
@@ -213,11 +230,20 @@ def _attempts(state: State) -> int:
     return int(np.sum(counters.steps)) + int(np.sum(counters.rejected))
 
 
-def _compile(scene: Scene, state: State, solver: Integrator) -> float:
+def _compile(scene: Scene, state: State, solver: Integrator, recorder: Recorder | None) -> float:
     """Compile by a call that has nothing to do; return the seconds it took."""
     start = time.perf_counter()
-    jax.block_until_ready(_integrate(scene, state, state.t, solver, as_float(0.0)))
+    jax.block_until_ready(_called(scene, state, state.t, solver, as_float(0.0), recorder))
     return time.perf_counter() - start
+
+
+def _called(scene, state, t_stop, solver, left, recorder: Recorder | None) -> tuple[State, Log]:
+    """One call of `integrate`."""
+    if recorder is None:
+        return _integrate(scene, state, t_stop, solver, left)
+    state, log = _integrate(scene, state, t_stop, solver, left, TRAIL)
+    recorder.extend(log.trail)
+    return state, log
 
 
 def _advance(
@@ -229,6 +255,7 @@ def _advance(
     frames: int,
     budget: _Budget,
     renewal: Renewal | None,
+    recorder: Recorder | None,
 ) -> tuple[Scene, State]:
     rows, told, waits = [], time.perf_counter(), 0
     while float(state.t) < t_stop:
@@ -236,7 +263,7 @@ def _advance(
         if left <= 0:
             state = eqx.tree_at(lambda s: s.result, state, RESULTS.budget)
         else:
-            state, log = _integrate(scene, state, as_float(t_stop), solver, as_float(left))
+            state, log = _called(scene, state, as_float(t_stop), solver, as_float(left), recorder)
             rows.append(np.asarray(log.rows[: int(log.length)]))
             waits = waits + 1 if _attempts(state) == made else 0
         if waits > MOST_WAITS and _name(state) == "success":
@@ -310,19 +337,19 @@ def _name(state: State) -> str:
     raise AssertionError("unknown result")
 
 
-def _solution(state: State, record: _Record, compile_s: float, run_s: float) -> Solution:
+def _solution(state: State, kept: _Kept, compile_s: float, run_s: float) -> Solution:
     name = _name(state)
     shape = state.x.shape
     return Solution(
         state=state,
         result=name,
         message=RESULTS[getattr(RESULTS, name)],  # type: ignore[misc]
-        t=np.array(record.t),
-        x=np.array(record.x).reshape(-1, *shape),
-        v=np.array(record.v).reshape(-1, *shape),
-        p=None if state.p is None else np.array(record.p).reshape(-1, state.p.shape[0]),
-        history=_joined(record.history, history_table(_NO_ROWS)),
-        events=_joined(record.events, events_table(_NO_ROWS)),
+        t=np.array(kept.t),
+        x=np.array(kept.x).reshape(-1, *shape),
+        v=np.array(kept.v).reshape(-1, *shape),
+        p=None if state.p is None else np.array(kept.p).reshape(-1, state.p.shape[0]),
+        history=_joined(kept.history, history_table(_NO_ROWS)),
+        events=_joined(kept.events, events_table(_NO_ROWS)),
         compile_s=compile_s,
         run_s=run_s,
     )

@@ -1,6 +1,6 @@
 """The state of a run: all that evolves, and what the implicit steps know of the past."""
 
-from typing import Any
+from typing import Any, Protocol
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -92,8 +92,24 @@ class ImplicitStep(eqx.Module):
         return self.inertia * (v + self.v_memory) / self.beta_h
 
 
+class Points(Protocol):
+    """Points of the past, newest first: positions and velocities (6, n, 3), p (6, h) or None."""
+
+    @property
+    def x(self) -> Array:
+        """Positions in m."""
+
+    @property
+    def v(self) -> Array:
+        """Velocities in m/s."""
+
+    @property
+    def p(self) -> Array | None:
+        """Rest curvatures."""
+
+
 def implicit_step(
-    scene: Scene, history: History, alpha: Array, beta_h: Array, t: Array, inertia: Array | None = None
+    scene: Scene, history: Points, alpha: Array, beta_h: Array, t: Array, inertia: Array | None = None
 ) -> ImplicitStep:
     """The implicit step with equations at time `t`, coefficients `alpha` (6,) over the history, and with
     `inertia` (0 or 1), or never any (None)."""

@@ -95,12 +95,21 @@ def residual(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array |
     return value, p
 
 
+def rest_curvature(scene: Scene, step: ImplicitStep, x: Array) -> Array | None:
+    """The new p of an implicit step that leads to positions `x` (n, 3), as `residual` has it."""
+    return _plastic_update(scene, step, scene.bending.hinges(x).theta)[0]
+
+
+def _plastic_update(scene: Scene, step: ImplicitStep, theta: Array) -> tuple[Array | None, Array | None]:
+    """The new p (h,) and its slope by the curvature; None without plastic flow."""
+    if scene.plasticity is None or step.p_memory is None:
+        return None, None
+    return implicit_update(scene.plasticity, curvature(theta), step.p_memory, step.beta_h)
+
+
 def _condensed(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array | None, Array | None]:
     hinges = scene.bending.hinges(x)
-    p = softening = None
-    if scene.plasticity is not None and step.p_memory is not None:
-        c = curvature(hinges.theta)
-        p, softening = implicit_update(scene.plasticity, c, step.p_memory, step.beta_h)
+    p, softening = _plastic_update(scene, step, hinges.theta)
     total = _external_force(scene, x, step.t)
     total = total + scene.bending.force(hinges, scene.rest_curvature(p), x.shape[0])
     v = step.velocity(x)

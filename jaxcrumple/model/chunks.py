@@ -1,6 +1,7 @@
 """Lists that are mostly empty: what their entries add up to and which to keep, a chunk at a time, so that
 room costs nothing."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -26,7 +27,7 @@ def accumulate(
     `add(total, arguments, places, held)` adds those at `places` (chunk,) that are `held` (chunk,), and
     nothing where one is not; it closes over no number that is differentiated. The loop ends with the list;
     derivatives, of any order and mode, come from one that has as many rounds as the list has room, and skips
-    those beyond.
+    those beyond, many at a time.
     """
     return _accumulate(start, arguments, count, add=add, room=room, chunk=min(chunk, room))
 
@@ -45,14 +46,30 @@ def _derivative(primals, tangents, *, add, room: int, chunk: int):
     start, arguments, count = primals
     moved, changed, _ = tangents
 
-    def whole(start: Any, arguments: Any) -> Any:
-        def body(total: Any, first: Array) -> tuple[Any, None]:
-            places = _places(first, count, room, chunk)
-            return jax.lax.cond(first < count, lambda: add(total, arguments, *places), lambda: total), None
+    rounds = -(-room // chunk)
+    group = math.isqrt(rounds - 1) + 1
 
-        return jax.lax.scan(body, start, jnp.arange(0, room, chunk))[0]
+    def whole(start: Any, arguments: Any) -> Any:
+        def one(total: Any, first: Array) -> Any:
+            return add(total, arguments, *_places(first, count, room, chunk))
+
+        def several(total: Any, first: Array) -> Any:
+            return _each(one, total, first + chunk * jnp.arange(group), count)
+
+        return _each(several, start, chunk * group * jnp.arange(-(-rounds // group)), count)
 
     return eqx.filter_jvp(whole, (start, arguments), (moved, changed))
+
+
+def _each(function: Callable[[Any, Array], Any], start: Any, numbers: Array, count: Array) -> Any:
+    """`start` with what a `function` of `numbers` (m,) adds for those below `count`. Reverse mode keeps
+    nothing of them: there may be many, and few below."""
+
+    @jax.checkpoint
+    def body(total: Any, number: Array) -> tuple[Any, None]:
+        return jax.lax.cond(number < count, lambda: function(total, number), lambda: total), None
+
+    return jax.lax.scan(body, start, numbers)[0]
 
 
 def _places(first: Array, count: Array, room: int, chunk: int) -> tuple[Array, Array]:

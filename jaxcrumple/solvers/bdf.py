@@ -5,7 +5,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from jaxcrumple.state import HISTORY, History
+from jaxcrumple.model.scene import Scene
+from jaxcrumple.state import HISTORY, History, ImplicitStep, Points, implicit_step
 
 
 def _lags(h: Array, steps: Array) -> Array:
@@ -96,6 +97,41 @@ def two_step(h: Array, steps: Array, order: Array, theta: Array) -> TwoStep:
     defect = slope + 3.0 * theta * (1.0 - theta) * h * h
     error = jnp.abs(defect) / (new * h * (h + first) * (h + first + last))
     return TwoStep(alpha, beta_h, jnp.where(second, error, h / (h + first)))
+
+
+class Formula(NamedTuple):
+    """A step's formula: $\\dot Y = (Y + \\sum_j \\alpha_j y_j)/(\\beta h)$ for the unknown
+    $Y = \\theta y_{new} + (1 - \\theta) y_0$.
+
+    `alpha` (6,); `beta_h` in s; `inertia`: 0 or 1, or None for never any; `share`: local error as a share of
+    corrector - predictor.
+    """
+
+    alpha: Array
+    beta_h: Array
+    theta: Array
+    inertia: Array | None
+    share: Array
+
+    def equations(self, scene: Scene, history: Points, t: Array, h: Array) -> ImplicitStep:
+        """What a step of `h` s from time `t` on solves."""
+        when = t + self.theta * h
+        return implicit_step(scene, history, self.alpha, self.beta_h, when, self.inertia)
+
+
+def step_formula(h: Array, steps: Array, order: Array, moves: Array | None, rho_infinity: Array) -> Formula:
+    """Formula of a step of `h` s and of `order` after past `steps` (6,) in s: BDF, or where the step `moves`,
+    with inertia, and is of order 1 or 2, the two-step family; `moves` None: never."""
+    alpha, beta_h = coefficients(h, steps, order)
+    share = error_constant(h, steps, order)
+    if moves is None:
+        return Formula(alpha, beta_h, jnp.ones(()), None, share)
+    theta = jnp.where(moves, 1.0 / (1.0 + rho_infinity), 1.0)
+    two = two_step(h, steps, order, theta)
+    pair = moves & (order <= 2)
+    alpha, beta_h = jnp.where(pair, two.alpha, alpha), jnp.where(pair, two.beta_h, beta_h)
+    share = jnp.where(pair, two.error, share)
+    return Formula(alpha, beta_h, theta, jnp.where(moves, 1.0, 0.0), share)
 
 
 def push(history: History, h: Array, x: Array, v: Array, p: Array | None, order: Array) -> History:

@@ -46,6 +46,13 @@ class RK43(diffrax.AbstractERK):
         return 4
 
 
+# The stages of a step that is accepted: their times, and rows of the tableau.
+_TIMES = np.append(0.0, RK43.tableau.c[:-1])
+_STAGES = np.zeros((len(_TIMES), len(_TIMES)))
+for _number, _row in enumerate(RK43.tableau.a_lower[:-1], 1):
+    _STAGES[_number, : len(_row)] = _row
+
+
 class Explicit(eqx.Module):
     """Options of the explicit stage.
 
@@ -161,6 +168,32 @@ def first_stages(scene: Scene, state: State):
     """The stage that a step hands to the next, for a step that has none before it."""
     y = (state.x, state.v, state.p)
     return _SOLVER.init(_TERM, state.t, state.t + state.h_explicit, y, scene)
+
+
+def advance(
+    scene: Scene, t: Array, h: Array, x: Array, v: Array, p: Array | None
+) -> tuple[Array, Array, Array | None]:
+    """Positions and velocities (n, 3) and p a step of `h` s after time `t`: what `attempt` accepts, without
+    its error, to be differentiated."""
+    y = (x, v, p)
+
+    def moved(slopes, weights: Array):
+        return jax.tree.map(lambda y, k: y + h * jnp.tensordot(weights, k, 1), y, slopes)
+
+    def stage(slopes, row: tuple[Array, Array, Array]):
+        number, c, weights = row
+        x, v, p = moved(slopes, weights)
+        slope = rates(scene, x, v, p, t + c * h)
+        return jax.tree.map(lambda all, k: all.at[number].set(k), slopes, slope), None
+
+    # One stage is compiled, and differentiated, for all of them.
+    slopes = jax.tree.map(lambda y: jnp.zeros((len(_STAGES), *y.shape)), y)
+    rows = jnp.arange(len(_STAGES)), jnp.asarray(_TIMES), jnp.asarray(_STAGES)
+    slopes, _ = jax.lax.scan(stage, slopes, rows)
+    x, v, p = moved(slopes, jnp.asarray(RK43.tableau.b_sol[:-1]))
+    if scene.prescribed is None:
+        return x, v, p
+    return scene.prescribed.position(x, t + h), scene.prescribed.velocity(v, t + h), p
 
 
 def attempt(

@@ -27,7 +27,7 @@ from jaxcrumple.solvers.lists import (
     waits,
     without_places,
 )
-from jaxcrumple.solvers.log import STEP, Log, append, empty_log
+from jaxcrumple.solvers.log import STEP, Log, append, empty_log, follow
 from jaxcrumple.solvers.newton import must_restore
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.solvers.switch import observe
@@ -63,14 +63,20 @@ class _Carry(NamedTuple):
 
 
 def integrate(
-    scene: Scene, state: State, t_stop: Array, solver: Integrator, max_attempts: ArrayLike = jnp.inf
+    scene: Scene,
+    state: State,
+    t_stop: Array,
+    solver: Integrator,
+    max_attempts: ArrayLike = jnp.inf,
+    trail: int = 0,
 ) -> tuple[State, Log]:
     """Advance a state until `t_stop`, or until `max_attempts` steps or this call's own budget are used up.
 
     Pure and traced: wrap it in `eqx.filter_jit`; numbers may change without recompiling. The
     returned state has `result` success if nothing went wrong, and time `t_stop` if it got there;
     call again to go on. The step sequence depends on the state alone, so a saved state continues as
-    an uninterrupted run does.
+    an uninterrupted run does. `trail`: accepted steps of this call that the log keeps with their positions,
+    after which it ends; 0 for none and no end.
 
     **Returns:** the new `State` and the `Log` of this call.
     """
@@ -81,7 +87,7 @@ def integrate(
     stage = jnp.where(known, state.stage, solver.stages[0])
     state = eqx.tree_at(lambda s: (s.h, s.stage), state, (start_h, stage))
     factor = None if solver.implicit is None else solver.implicit.linear.start(scene.pattern)
-    left, log = as_float(max_attempts), empty_log(LOG_CAPACITY)
+    left, log = as_float(max_attempts), empty_log(LOG_CAPACITY, scene.n_nodes, trail)
     nothing = jnp.asarray(0)
     # A factor serves the steps after its own with solvers whose factors are exact.
     held = jnp.asarray(solver.implicit is None or not solver.implicit.linear.exact)
@@ -140,6 +146,8 @@ def _is_sound(scene: Scene, state: State) -> Array:
 
 def _going(carry: _Carry) -> Array:
     room = carry.log.length < LOG_CAPACITY - 4
+    if carry.log.trail is not None:
+        room = room & ~carry.log.trail.full
     sound = (carry.state.result == RESULTS.success) & ~waits(carry.state)
     going = (carry.spent < BUDGET) & (carry.left > 0) & (carry.rounds < MOST_ROUNDS)
     return ~carry.done & room & sound & going
@@ -237,6 +245,7 @@ def _implicit_attempt(
         (suggested, tried.next_order, tried.kept, counters),
     )
     log = append(carry.log, row(scene, moved, STEP, h, tried.order, tried.error), tried.accepted)
+    log = follow(log, moved.x, moved.t, h, state.stage, tried.order, tried.accepted)
     handover = after_implicit(scene, moved, tried.accepted, tried.cause, solver, bounded)
     hopeless = ~tried.accepted & (handover.stage != EXPLICIT) & _is_tiny(moved.h, moved.t)
     moved = _given_up(moved, hopeless, tried.cause)
@@ -365,6 +374,7 @@ def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, w
     log = jax.lax.cond(
         sampled, lambda: append(carry.log, row(scene, moved, STEP, h, 4, tried.error)), lambda: carry.log
     )
+    log = follow(log, moved.x, moved.t, h, state.stage, 4, tried.accepted)
     handover = after_explicit(scene, moved, tried.accepted, cap, solver)
     carry = _tried(carry, moved, log, handover, EXPLICIT_COST, tried.accepted, lands)
     return carry, stages, tried.accepted

@@ -36,11 +36,29 @@ class Row(NamedTuple):
     rejected_steps: Array
 
 
+class Trail(NamedTuple):
+    """Accepted steps in order, the first `length` of them valid: `x` (capacity, n, 3) m and `t` s at their
+    ends, their size `h` s, `stage` and `order` (capacity,)."""
+
+    x: Array
+    t: Array
+    h: Array
+    stage: Array
+    order: Array
+    length: Array
+
+    @property
+    def full(self) -> Array:
+        """Whether there is no room for another step."""
+        return self.length >= self.t.shape[0]
+
+
 class Log(NamedTuple):
-    """Rows (capacity, columns), the first `length` of them valid."""
+    """Rows (capacity, columns), the first `length` of them valid, and the trail, where one is wanted."""
 
     rows: Array
     length: Array
+    trail: Trail | None = None
 
     @property
     def capacity(self) -> int:
@@ -48,13 +66,30 @@ class Log(NamedTuple):
         return self.rows.shape[0]
 
 
-def empty_log(capacity: int) -> Log:
-    """A log without rows."""
-    return Log(jnp.zeros((capacity, len(Row._fields))), jnp.asarray(0))
+def empty_log(capacity: int, nodes: int = 0, steps: int = 0) -> Log:
+    """A log without rows, with a trail of a sheet of `nodes` with room for `steps`, if any."""
+    zero = jnp.asarray(0)
+    trail = None
+    if steps:
+        none, number = jnp.zeros(steps, int), jnp.zeros(steps)
+        trail = Trail(jnp.zeros((steps, nodes, 3)), number, number, none, none, zero)
+    return Log(jnp.zeros((capacity, len(Row._fields))), zero, trail)
 
 
 def append(log: Log, row: Row, wanted: Array | bool = True) -> Log:
     """Log with `row` added, or unchanged unless `wanted`."""
     values = jnp.stack([jnp.asarray(value, log.rows.dtype) for value in row])
     index = jnp.where(wanted, log.length, log.capacity)
-    return Log(log.rows.at[index].set(values, mode="drop"), log.length + jnp.asarray(wanted, int))
+    rows = log.rows.at[index].set(values, mode="drop")
+    return log._replace(rows=rows, length=log.length + jnp.asarray(wanted, int))
+
+
+def follow(log: Log, x: Array, t: Array, h: Array, stage: Array, order: Array | int, accepted: Array) -> Log:
+    """Log with a step in its trail, if it has one and the step is `accepted`."""
+    trail = log.trail
+    if trail is None:
+        return log
+    at = jnp.where(accepted, trail.length, trail.t.shape[0])
+    step = {"x": x, "t": t, "h": h, "stage": stage, "order": order}
+    moved = {name: getattr(trail, name).at[at].set(value, mode="drop") for name, value in step.items()}
+    return log._replace(trail=Trail(**moved, length=trail.length + jnp.asarray(accepted, int)))

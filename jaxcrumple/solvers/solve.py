@@ -6,7 +6,7 @@ from jax import Array
 
 from jaxcrumple.model.pattern import Pattern
 from jaxcrumple.solvers.choice import choose_linear_solver
-from jaxcrumple.solvers.linear import AbstractLinearSolver
+from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
 
 # Factor by which a residual may exceed what was asked for and rounding together.
 SLACK = 10.0
@@ -35,6 +35,13 @@ def linear_solve(
             f"values {values.shape} and rhs {rhs.shape} do not fit the pattern: ({pattern.size},) and {size}."
         )
     factor = solver.factor(pattern, jax.lax.stop_gradient(values), solver.start(pattern))
+    return solve_factored(solver, pattern, factor, values, rhs, rtol)
+
+
+def solve_factored(
+    solver: AbstractLinearSolver, pattern: Pattern, factor: Factor, values: Array, rhs: Array, rtol: float
+) -> Array:
+    """The same with a `factor` of these `values`."""
 
     def solve(_, b: Array) -> Array:
         x = solver.solve_factored(pattern, factor, b, rtol)

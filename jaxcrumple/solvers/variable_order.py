@@ -10,7 +10,7 @@ from jax import Array
 from jaxcrumple.model.fields import as_float, select
 from jaxcrumple.model.geometry import curvature
 from jaxcrumple.model.scene import Scene
-from jaxcrumple.solvers.bdf import coefficients, damped_order, error_constant, extrapolation, two_step
+from jaxcrumple.solvers.bdf import damped_order, error_constant, extrapolation, step_formula
 from jaxcrumple.solvers.implicit import (
     LOCAL_SHARE,
     AbstractImplicit,
@@ -21,7 +21,7 @@ from jaxcrumple.solvers.implicit import (
 )
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
 from jaxcrumple.solvers.newton import FORCING, newton
-from jaxcrumple.state import CAUSES, IMPLICIT, ImplicitStep, State, implicit_step
+from jaxcrumple.state import CAUSES, IMPLICIT, ImplicitStep, State
 from jaxcrumple.system import residual
 
 # A change of order must promise a step longer by this factor.
@@ -101,22 +101,11 @@ class VariableOrder(AbstractImplicit):
         )  # fmt: skip
 
     def _formula(self, scene: Scene, state: State, h: Array) -> "_Formula":
-        steps = state.history.steps
         orders = self._orders(scene, state, h)
-        alpha, beta_h = coefficients(h, steps, orders.used)
-        share = error_constant(h, steps, orders.used)
-        if not self.inertia:
-            step = implicit_step(scene, state.history, alpha, beta_h, state.t + h)
-            return _Formula(step, jnp.ones(()), orders, share)
-        moves = state.stage == IMPLICIT
-        theta = jnp.where(moves, 1.0 / (1.0 + self.rho_infinity), 1.0)
-        two = two_step(h, steps, orders.used, theta)
-        pair = moves & (orders.used <= 2)
-        alpha, beta_h = jnp.where(pair, two.alpha, alpha), jnp.where(pair, two.beta_h, beta_h)
-        share = jnp.where(pair, two.error, share)
-        inertia = jnp.where(moves, 1.0, 0.0)
-        step = implicit_step(scene, state.history, alpha, beta_h, state.t + theta * h, inertia)
-        return _Formula(step, theta, orders, share)
+        moves = state.stage == IMPLICIT if self.inertia else None
+        formula = step_formula(h, state.history.steps, orders.used, moves, self.rho_infinity)
+        step = formula.equations(scene, state.history, state.t, h)
+        return _Formula(step, formula.theta, orders, formula.share)
 
     def _orders(self, scene: Scene, state: State, h: Array) -> "_Orders":
         history = state.history

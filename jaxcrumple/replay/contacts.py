@@ -1,0 +1,120 @@
+"""Lists of contact for the replay of recorded steps."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxcrumple.model.cross import Merged
+from jaxcrumple.model.merger import Merger
+from jaxcrumple.model.near import Around, Candidates, Near, doubled, motion
+from jaxcrumple.model.neighbors import find_near
+from jaxcrumple.model.scene import Scene, with_near
+from jaxcrumple.model.search import Search
+
+# How far in ranges the sheet of a replay may be from the recorded one.
+SLACK = 0.25
+# Steps whose positions differ by less, in ranges, are searched together.
+TOGETHER = 0.25
+# First room for pairs of triangles.
+FEWEST = 256
+
+
+class Lists(eqx.Module):
+    """For each of g stretches of steps the pairs of triangles that come near one another, `triangles`
+    (g, c, 2), the first `count` (g,) of them valid, and `folded` (g, w) as in `Candidates`; their places in
+    the matrix of a direct solver, (g, ...), or None."""
+
+    triangles: Array
+    count: Array
+    folded: Array
+    merged: Merged | None
+
+
+def make_lists(scene: Scene, start: np.ndarray, x: np.ndarray, explicit: np.ndarray, merged: bool) -> Lists:
+    """Lists for stretches of steps from positions `start` (n, 3) on that end at `x` (g, s, n, 3), of which
+    those that are `explicit` (g, s) visit what lies between."""
+    contact = scene.contact
+    assert contact is not None
+    search = Search(contact, np.asarray(scene.bending.nodes))
+    before = np.concatenate([start[None], x.reshape(-1, *start.shape)[:-1]]).reshape(x.shape)
+    found = [_met(scene, search, *stretch) for stretch in zip(before, x, explicit, strict=True)]
+    room = doubled(FEWEST, max(len(pairs) for pairs, _ in found))
+    triangles = np.zeros((len(found), room, 2), np.int32)
+    for row, (pairs, _) in zip(triangles, found, strict=True):
+        row[: len(pairs)] = pairs
+    count, folded = np.array([len(pairs) for pairs, _ in found]), np.stack([ways for _, ways in found])
+    places = _merged(Merger(scene.pattern, search.faces), [pairs for pairs, _ in found]) if merged else None
+    return Lists(jnp.asarray(triangles), jnp.asarray(count, int), jnp.asarray(folded), places)
+
+
+def _met(
+    scene: Scene, search: Search, before: np.ndarray, x: np.ndarray, explicit: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of triangles (c, 2), sorted, that are near in some of the steps from `before` to `x`
+    (s, n, 3), and which ways are folded."""
+    contact, n = scene.contact, len(search.faces)
+    assert contact is not None
+    keys, folded = [np.zeros(0, np.int64)], np.zeros(len(search.fan_triangles), bool)
+    left = [k for k in range(len(x)) if not _apart(contact, before[k], x[k])]
+    while left:
+        first = x[left[0]]
+        moved = np.stack([np.asarray(motion(first, x[k])) for k in left])
+        together = int(np.argmax(np.append(moved.max(axis=1) > TOGETHER * search.sigma, True)))
+        reach = SLACK * search.sigma + moved[:together]
+        for row, k in enumerate(left[:together]):
+            reach[row] += np.asarray(motion(before[k], x[k])) * explicit[k]
+        pairs, ways = search.find(first, reach.max(axis=0))
+        keys.append(pairs[:, 0] * n + pairs[:, 1])
+        folded, left = folded | ways, left[together:]
+    key = np.unique(np.concatenate(keys))
+    return np.stack([key // n, key % n], axis=1), folded
+
+
+@eqx.filter_jit
+def _apart(contact, start: Array, end: Array) -> Array:
+    return contact.apart(start, end)
+
+
+def _merged(merger: Merger, found: list[np.ndarray]) -> Merged:
+    """Places of all stretches, with the same room."""
+    room = FEWEST
+    while True:
+        merged = [merger.merge(pairs, room) for pairs in found]
+        most = max(len(one.keys) for one in merged)
+        if most == room:
+            return jax.tree.map(lambda *parts: jnp.stack(parts), *merged)
+        room = most
+
+
+def with_lists(scene: Scene, lists: Lists | None, near: Near | None) -> Scene:
+    """The scene of one stretch, with its `lists` and an empty list of sites `near`."""
+    if lists is None or near is None:
+        return scene
+    candidates = Candidates(lists.triangles, lists.count, near.around, lists.folded)
+    scene = eqx.tree_at(lambda s: s.contact.candidates, scene, candidates)
+    scene = with_near(scene, near)
+    return eqx.tree_at(
+        lambda s: s.pattern.contact.merged, scene, lists.merged, is_leaf=lambda leaf: leaf is None
+    )
+
+
+def near_step(scene: Scene, old: Array, new: Array, between: Array | bool) -> Scene:
+    """The scene of a stretch at one step, which is recorded to end at positions `new` (n, 3) and visits what
+    lies `between` these and `old` ones, or not."""
+    if scene.contact is None:
+        return scene
+    reach = SLACK * scene.contact.range + jnp.where(between, motion(old, new), 0.0)
+    around = jax.lax.stop_gradient(Around(new, reach))
+    scene = eqx.tree_at(lambda s: s.contact.candidates.around, scene, around)
+    assert scene.contact is not None
+    return with_near(scene, find_near(jax.lax.stop_gradient(scene.contact), around))
+
+
+def as_listed(scene: Scene, listed: Scene) -> Scene:
+    """The scene with the lists of another one."""
+    if scene.contact is None or listed.contact is None:
+        return scene
+    theirs = listed.contact.candidates, listed.contact.near, listed.pattern.contact
+    return eqx.tree_at(lambda s: (s.contact.candidates, s.contact.near, s.pattern.contact), scene, theirs)

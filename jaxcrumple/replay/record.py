@@ -1,0 +1,141 @@
+"""What a run leaves behind for its replay."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxcrumple.model.near import Near, doubled, no_neighbors
+from jaxcrumple.model.scene import Scene
+from jaxcrumple.replay.contacts import Lists, make_lists
+from jaxcrumple.solvers.linear import AbstractLinearSolver
+from jaxcrumple.solvers.log import Trail
+from jaxcrumple.solvers.pair import BDFPair
+from jaxcrumple.solvers.scheme import Integrator
+from jaxcrumple.solvers.variable_order import VariableOrder
+from jaxcrumple.state import EXPLICIT, HISTORY, State
+
+# Steps of a stretch, and the least number of stretches that a record has room for.
+STRETCH, FEWEST = 64, 4
+# Newton's error in a run that is recorded, as a share of what a step may leave.
+RECORDED_SHARE = 1e-4
+
+
+class Steps(eqx.Module):
+    """Accepted steps in stretches (g, s), of which some at the end may not be `valid`.
+
+    From time `t` s of size `h` s, in a `stage` with an `order`; `past` (g, s, 6): sizes in s of the steps
+    before; `frame`: number of the frame that the step ends with, or that of all frames; `x` (g, s, n, 3) m:
+    positions at its end.
+    """
+
+    valid: Array
+    t: Array
+    h: Array
+    stage: Array
+    order: Array
+    past: Array
+    frame: Array
+    x: Array
+
+
+class Record(eqx.Module):
+    """A run as its accepted steps; `simulate(..., record=True)` makes one for `replay`.
+
+    `start`: the state it began with; `t` (f,) s: times of its frames; `steps`; `lists`, and an empty list of
+    sites `near` with room for those of a step, or None without contact; `linear` and `rho_infinity` as the
+    run's solver has them, and whether it has `inertia`; `stages`: those in which it made steps.
+    """
+
+    start: State
+    t: Array
+    steps: Steps
+    lists: Lists | None
+    near: Near | None
+    linear: AbstractLinearSolver | None
+    rho_infinity: Array
+    inertia: bool = eqx.field(static=True)
+    stages: tuple[int, ...] = eqx.field(static=True)
+
+
+class Recorder:
+    """Collects the steps of one run that begins with a state.
+
+    **Raises:** ValueError for a scheme that cannot be recorded.
+    """
+
+    def __init__(self, start: State, solver: Integrator):
+        if isinstance(solver.implicit, BDFPair):
+            raise ValueError("the scheme 'paper' cannot be recorded: choose another one, such as 'hybrid'.")
+        self.start = start
+        self.trails: list[list[np.ndarray]] = []
+        self.frames: list[tuple[float, int]] = []
+
+    def solver(self, solver: Integrator) -> Integrator:
+        """The solver with which to run: its equations are solved so far that a replay meets their lists."""
+        if solver.implicit is None:
+            return solver
+        return eqx.tree_at(lambda s: s.implicit.newton_share, solver, jnp.asarray(RECORDED_SHARE))
+
+    def extend(self, trail: Trail | None) -> None:
+        """Take the steps of one call."""
+        assert trail is not None
+        length = int(trail.length)
+        self.trails.append([np.asarray(part[:length]) for part in trail[:-1]])
+
+    def frame(self, t: float) -> None:
+        """A frame at time `t` s follows the steps so far."""
+        self.frames.append((t, sum(len(trail[0]) for trail in self.trails)))
+
+    def finished(self, scene: Scene, solver: Integrator) -> Record | None:
+        """The record, or None where no step was made; the scene is that of the last call."""
+        if not sum(len(trail[0]) for trail in self.trails):
+            return None
+        x, end, h, stage, order = (np.concatenate(parts) for parts in zip(*self.trails, strict=True))
+        frame = np.full(len(h), len(self.frames))
+        for index, (_, made) in enumerate(self.frames):
+            if made:
+                frame[made - 1] = index
+        past, t = _past_steps(self.start, stage, h), np.append(float(self.start.t), end[:-1])
+        parts = [_in_stretches(part) for part in (t, h, stage, order, past, frame, x)]
+        valid = np.arange(parts[0].size).reshape(parts[0].shape) < len(h)
+        parts[-2][~valid] = len(self.frames)
+        lists = near = None
+        if scene.contact is not None:
+            near = no_neighbors(scene.n_nodes, len(scene.contact.share), scene.contact.near.room)
+            start, explicit = np.asarray(self.start.x), parts[2] == EXPLICIT
+            lists = make_lists(scene, start, parts[-1], explicit, solver.one_matrix)
+        implicit = solver.implicit
+        return Record(
+            start=self.start,
+            t=jnp.asarray([t for t, _ in self.frames]),
+            steps=Steps(jnp.asarray(valid), *map(jnp.asarray, parts)),
+            lists=lists,
+            near=near,
+            linear=None if implicit is None else implicit.linear,
+            rho_infinity=implicit.rho_infinity if isinstance(implicit, VariableOrder) else jnp.zeros(()),
+            inertia=isinstance(implicit, VariableOrder) and implicit.inertia,
+            stages=tuple(np.unique(stage).tolist()),
+        )
+
+
+def _past_steps(start: State, stage: np.ndarray, h: np.ndarray) -> np.ndarray:
+    """Sizes (k, 6) in s of the steps before each, newest first, as the history of the run had them."""
+    past, before = np.array(start.history.steps), int(start.stage)
+    rows = np.empty((len(h), HISTORY))
+    for k, (here, size) in enumerate(zip(stage, h, strict=True)):
+        if before == EXPLICIT != here:
+            past = np.ones(HISTORY)
+        rows[k] = past
+        if here != EXPLICIT:
+            past = np.concatenate([[size], past[:-1]])
+        before = here
+    return rows
+
+
+def _in_stretches(part: np.ndarray) -> np.ndarray:
+    """An array (k, ...) in stretches (g, s, ...), of which there are a power of two; the last row is
+    repeated."""
+    size = STRETCH * doubled(FEWEST, -(-len(part) // STRETCH))
+    rest = np.broadcast_to(part[-1], (size - len(part), *part.shape[1:]))
+    return np.concatenate([part, rest]).reshape(-1, STRETCH, *part.shape[1:])

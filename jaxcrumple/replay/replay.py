@@ -1,0 +1,223 @@
+"""`replay`: recorded steps taken again as one function with derivatives in both modes."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxcrumple.model.scene import Scene
+from jaxcrumple.replay.contacts import Lists, as_listed, near_step, with_lists
+from jaxcrumple.replay.record import Record, Steps
+from jaxcrumple.replay.step import Point, RecordedStep, changed, newest, solved
+from jaxcrumple.solvers import explicit
+from jaxcrumple.solvers.bdf import step_formula
+from jaxcrumple.solvers.linear import Factor
+from jaxcrumple.state import EXPLICIT, HISTORY, IMPLICIT, State, check_state
+
+
+class Replay(NamedTuple):
+    """Frames at times `t` (f,) s: positions `x` (f, n, 3) m, velocities `v` (f, n, 3) m/s, rest curvatures
+    `p` (f, h) or None; `error`: largest last update of a step's Newton iteration over the sheet's size."""
+
+    t: Array
+    x: Array
+    v: Array
+    p: Array | None
+    error: Array
+
+
+def replay(scene: Scene, record: Record, start: State | None = None) -> Replay:
+    """Take the steps of a recorded run again, with the same sizes, orders, stages and lists of contact, in
+    a scene with other numbers or from another `start`, and each to rounding.
+
+    A function of every number in `scene` and of the positions, velocities and rest curvatures of `start`,
+    with derivatives in both modes. They are those of what is computed with all decisions held fixed: of the
+    step sizes, of the instant of a change of stage or of a buckling there is no derivative. All is NaN where
+    a step finds no solution, or the sheet is further than a quarter of a contact range from where it was
+    recorded.
+
+    **Raises:** ValueError for a state of another scene.
+    """
+    start = record.start if start is None else start
+    check_state(scene, start)
+    here = Point(start.x, start.v, start.p)
+    before = Point(start.history.x, start.history.v, start.history.p)
+    past = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b[1:]]), here, before)
+    frames, error = _frames(scene, past, record)
+    frames = jax.tree.map(lambda a: jnp.where(jnp.isfinite(error), a, jnp.nan), frames)
+    return Replay(record.t, frames.x, frames.v, frames.p, error)
+
+
+@eqx.filter_custom_jvp
+def _frames(scene: Scene, past: Point, record: Record) -> tuple[Point, Array]:
+    _, frames, error = _forward(scene, past, record)
+    return frames, error
+
+
+@_frames.def_jvp
+def _frames_jvp(primals, tangents):
+    scene, past, record = primals
+    by_scene, by_past, _ = tangents
+    rows, frames, error = _forward(scene, past, record)
+    moved = _tangent(scene, by_scene, past, by_past, record, rows)
+    return (frames, error), (moved, jnp.zeros_like(error))
+
+
+def _forward(scene: Scene, past: Point, record: Record) -> tuple[Point, Point, Array]:
+    """Points of each stretch (g, 6 + s, ...), oldest first, the frames, and the largest error."""
+
+    def stretch(carry, part: tuple[Steps, Lists | None]):
+        past, frames, error = carry
+        steps, lists = part
+        here = with_lists(scene, lists, record.near)
+        workspace = _workspace(here, record)
+
+        def advance(carry, step: Steps):
+            past, error = carry
+            new, left = jax.lax.cond(
+                step.valid,
+                lambda: _step(here, past, step, record, workspace),
+                lambda: (newest(past), jnp.zeros(())),
+            )
+            return (_pushed(past, new), jnp.maximum(error, left)), new
+
+        (last, error), points = jax.lax.scan(advance, (past, error), steps)
+        rows = jax.tree.map(lambda old, new: jnp.concatenate([old[::-1], new]), past, points)
+        count = jnp.sum(steps.valid)
+        last = jax.tree.map(lambda a: jax.lax.dynamic_slice_in_dim(a, count, HISTORY)[::-1], rows)
+        return (last, _filled(frames, steps, points), error), rows
+
+    frames = _first_frames(newest(past), record)
+    carry = (past, frames, jnp.zeros(()))
+    (_, frames, error), rows = jax.lax.scan(stretch, carry, (record.steps, record.lists))
+    return rows, frames, error
+
+
+def _tangent(scene: Scene, by_scene: Scene, past: Point, by_past: Any, record: Record, rows: Point) -> Point:
+    """What the frames change by, linear in the changes `by_scene` and `by_past`."""
+    filled = jax.tree.map(lambda a: jnp.zeros_like(a), past)
+    moved = jax.tree.map(
+        lambda zero, by: zero if by is None else by, filled, by_past, is_leaf=lambda leaf: leaf is None
+    )
+
+    @jax.checkpoint
+    def stretch(carry, part: tuple[Steps, Lists | None, Point]):
+        moved, frames = carry
+        steps, lists, rows = part
+        workspace = _workspace(with_lists(scene, lists, record.near), record)
+
+        @jax.checkpoint
+        def advance(moved: Point, part: tuple[Array, Steps]):
+            at, step = part
+            seen = jax.tree.map(lambda a: jax.lax.dynamic_slice_in_dim(a, at, HISTORY + 1)[::-1], rows)
+            past, new = jax.tree.map(lambda a: a[1:], seen), newest(seen)
+
+            def change() -> Point:
+                return _step_change(scene, by_scene, lists, past, moved, new, step, record, workspace)
+
+            by_new = jax.lax.cond(step.valid, change, lambda: newest(moved))
+            return _pushed(moved, by_new), by_new
+
+        last, points = jax.lax.scan(advance, moved, (jnp.arange(len(steps.h)), steps))
+        # A stretch that ends early is the last one, or those behind it are empty.
+        return (last, _filled(frames, steps, points)), None
+
+    frames = _first_frames(newest(moved), record)
+    (_, frames), _ = jax.lax.scan(stretch, (moved, frames), (record.steps, record.lists, rows))
+    return frames
+
+
+def _workspace(scene: Scene, record: Record) -> Factor | None:
+    return None if record.linear is None else record.linear.start(scene.pattern)
+
+
+def _pushed(past: Point, new: Point) -> Point:
+    """The points (6, ...) with a new one in front."""
+    return jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), past, new)
+
+
+def _first_frames(point: Point, record: Record) -> Point:
+    """Frames before any step."""
+    count = len(record.t)
+    return jax.tree.map(lambda a: jnp.broadcast_to(a, (count, *a.shape)), point)
+
+
+def _filled(frames: Point, steps: Steps, points: Point) -> Point:
+    """The frames with those among `points` (s, ...) that steps end with."""
+
+    def fill(frames: Array, points: Array) -> Array:
+        ends = jnp.arange(len(frames))[:, None] == steps.frame
+        mine = jnp.any(ends, axis=1).reshape(-1, *[1] * (points.ndim - 1))
+        return jnp.where(mine, points[jnp.argmax(ends, axis=1)], frames)
+
+    return jax.tree.map(fill, frames, points)
+
+
+def _implicit(step: Steps, record: Record) -> RecordedStep:
+    moves = step.stage == IMPLICIT if record.inertia else None
+    return RecordedStep(
+        step_formula(step.h, step.past, step.order, moves, record.rho_infinity), step.t, step.h
+    )
+
+
+def _by_stage(step: Steps, record: Record, implicit, explicit):
+    """What the function of a step's stage returns; nothing is compiled for stages that the run lacks."""
+    if EXPLICIT not in record.stages:
+        return implicit()
+    if record.stages == (EXPLICIT,):
+        return explicit()
+    return jax.lax.cond(step.stage == EXPLICIT, explicit, implicit)
+
+
+def _step(
+    scene: Scene, past: Point, step: Steps, record: Record, workspace: Factor | None
+) -> tuple[Point, Array]:
+    """The point after a step, and how well its equations are solved."""
+    old = newest(past)
+    scene = near_step(scene, old.x, step.x, step.stage == EXPLICIT)
+
+    def implicit() -> tuple[Point, Array]:
+        assert record.linear is not None and workspace is not None
+        return solved(scene, _implicit(step, record), past, step.x, record.linear, workspace)
+
+    def explicit_step() -> tuple[Point, Array]:
+        point = Point(*explicit.advance(scene, step.t, step.h, *old))
+        finite = jnp.isfinite(jnp.sum(point.x)) & jnp.isfinite(jnp.sum(point.v))
+        return point, jnp.where(finite, 0.0, jnp.inf)
+
+    return _by_stage(step, record, implicit, explicit_step)
+
+
+def _step_change(
+    scene: Scene,
+    by_scene: Scene,
+    lists: Lists | None,
+    past: Point,
+    moved: Point,
+    new: Point,
+    step: Steps,
+    record: Record,
+    workspace: Factor | None,
+) -> Point:
+    """What the point `new` after a step changes by."""
+    old = newest(past)
+    listed = near_step(with_lists(scene, lists, record.near), old.x, new.x, step.stage == EXPLICIT)
+
+    def here(scene: Scene) -> Scene:
+        return as_listed(scene, listed)
+
+    def implicit() -> Point:
+        assert record.linear is not None and workspace is not None
+        return changed(
+            here, (scene, by_scene), _implicit(step, record), (past, moved), new.x, record.linear, workspace
+        )
+
+    def explicit_step() -> Point:
+        def advance(scene: Scene, old: Point) -> Point:
+            return Point(*explicit.advance(here(scene), step.t, step.h, *old))
+
+        return eqx.filter_jvp(advance, (scene, old), (by_scene, newest(moved)))[1]
+
+    return _by_stage(step, record, implicit, explicit_step)

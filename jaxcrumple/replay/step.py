@@ -1,0 +1,157 @@
+"""One recorded step as a function to be differentiated: its equations, solved to rounding, and what their
+solution changes by."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxcrumple.model.scene import Scene
+from jaxcrumple.solvers.bdf import Formula
+from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
+from jaxcrumple.solvers.newton import FORCING
+from jaxcrumple.solvers.solve import solve_factored
+from jaxcrumple.state import ImplicitStep as Equations
+from jaxcrumple.system import linearize, residual, rest_curvature
+
+# Newton's iteration ends with an update below TIGHT of the sheet's size, or below SETTLED where rounding no
+# longer lets it shrink. A tangent serves while it shrinks updates by CONTRACTION at least.
+TIGHT, SETTLED, CONTRACTION, MOST_ITERATIONS = 1e-12, 1e-8, 0.05, 40
+# Relative residual of the equations that derivatives solve.
+LINEAR = 1e-12
+
+
+class Point(NamedTuple):
+    """Where a sheet is: positions `x` m and velocities `v` m/s (n, 3), rest curvatures `p` (h,) or None."""
+
+    x: Array
+    v: Array
+    p: Array | None
+
+
+class RecordedStep(NamedTuple):
+    """A recorded implicit step of `h` s from time `t` by a `formula`.
+
+    Where `past` points are wanted: newest first, along a leading axis (6,).
+    """
+
+    formula: Formula
+    t: Array
+    h: Array
+
+    def unknown(self, scene: Scene, old: Array, new: Array) -> Array:
+        """The unknown (n, 3) of the formula between positions `old` and `new`, with supports in place."""
+        return self._supported(scene, old, self.formula.theta * new + (1.0 - self.formula.theta) * old)
+
+    def residual(self, scene: Scene, past: Point, unknown: Array) -> Array:
+        """Residual (n, 3) in N, zero where supports prescribe the motion."""
+        x = self._supported(scene, newest(past).x, unknown)
+        return residual(scene, self._equations(scene, past), x)[0]
+
+    def point(self, scene: Scene, past: Point, unknown: Array) -> Point:
+        """The point after the step."""
+        old, step = newest(past), self._equations(scene, past)
+        x = self._supported(scene, old.x, unknown)
+        p = None if old.p is None else rest_curvature(scene, step, x)
+        mean = Point(x, step.velocity(x), p)
+        return jax.tree.map(lambda mean, old: old + (mean - old) / self.formula.theta, mean, old)
+
+    def tangent(self, scene: Scene, past: Point, unknown: Array) -> tuple[Array, Array]:
+        """Residual (n, 3) and the values of its tangent."""
+        return linearize(scene, self._equations(scene, past), unknown)
+
+    def _equations(self, scene: Scene, past: Point) -> Equations:
+        return self.formula.equations(scene, past, self.t, self.h)
+
+    def _supported(self, scene: Scene, old: Array, x: Array) -> Array:
+        if scene.prescribed is None:
+            return x
+        theta, prescribed = self.formula.theta, scene.prescribed
+        there = theta * prescribed.motion(self.t + self.h) + (1.0 - theta) * old
+        return jnp.where(prescribed.mask, there, x)
+
+
+def newest(past: Point) -> Point:
+    """The last of the points."""
+    return Point(*jax.tree.map(lambda a: a[0], tuple(past)))
+
+
+class _Carry(NamedTuple):
+    x: Array
+    factor: Factor
+    update: Array
+    renew: Array
+    settled: Array
+    iterations: Array
+
+
+def solved(
+    scene: Scene, step: RecordedStep, past: Point, guess: Array, linear: AbstractLinearSolver, start: Factor
+) -> tuple[Point, Array]:
+    """The point after a step, and the last update of Newton's iteration from the positions `guess` (n, 3)
+    over the sheet's size: how far it is from the root at most, infinite if it found none."""
+
+    def body(carry: _Carry) -> _Carry:
+        def renewed() -> Factor:
+            return linear.factor(scene.pattern, step.tangent(scene, past, carry.x)[1], carry.factor)
+
+        factor = jax.lax.cond(carry.renew, renewed, lambda: carry.factor)
+        values = factor.values if linear.exact else step.tangent(scene, past, carry.x)[1]
+        value = step.residual(scene, past, carry.x)
+        solution = linear.solve(scene.pattern, factor, values, -value.reshape(-1), FORCING)
+        update = jnp.max(jnp.abs(solution.x)) / scene.length_scale
+        contraction = update / carry.update
+        stalled = (update < SETTLED) & (contraction > 0.5)
+        return _Carry(
+            carry.x + solution.x.reshape(carry.x.shape),
+            factor,
+            update,
+            contraction > CONTRACTION,
+            (update < TIGHT) | stalled | ~jnp.isfinite(update),
+            carry.iterations + 1,
+        )
+
+    def unfinished(carry: _Carry) -> Array:
+        return ~carry.settled & (carry.iterations < MOST_ITERATIONS)
+
+    yes, old = jnp.asarray(True), newest(past).x
+    first = _Carry(step.unknown(scene, old, guess), start, jnp.asarray(jnp.inf), yes, ~yes, jnp.asarray(0))
+    end = jax.lax.while_loop(unfinished, body, first)
+    point = step.point(scene, past, end.x)
+    return point, jnp.where(end.settled & jnp.isfinite(end.update), end.update, jnp.inf)
+
+
+def changed(
+    here: Callable[[Scene], Scene],
+    scenes: tuple[Scene, Scene],
+    step: RecordedStep,
+    pasts: tuple[Point, Point],
+    new: Array,
+    linear: AbstractLinearSolver,
+    start: Factor,
+) -> Point:
+    """What the point after a step changes by, linear in the changes of scene and past, which are the second
+    ones of the pairs; `here` gives a scene its lists, `new` (n, 3): the positions after the step.
+
+    By the implicit function theorem, from the equations as they are solved.
+    """
+    (scene, by_scene), (past, by_past) = scenes, pasts
+    listed = here(scene)
+    unknown = step.unknown(listed, newest(past).x, new)
+    values = step.tangent(listed, past, unknown)[1]
+    factor = linear.factor(listed.pattern, values, start)
+
+    def residual(scene: Scene, past: Point) -> Array:
+        return step.residual(here(scene), past, unknown)
+
+    force = eqx.filter_jvp(residual, (scene, past), (by_scene, by_past))[1]
+    moved = solve_factored(linear, listed.pattern, factor, values, -force.reshape(-1), LINEAR)
+    changes = (by_scene, by_past, moved.reshape(unknown.shape))
+
+    def point(scene: Scene, past: Point, unknown: Array) -> Point:
+        return step.point(here(scene), past, unknown)
+
+    return eqx.filter_jvp(point, (scene, past, unknown), changes)[1]

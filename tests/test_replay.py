@@ -1,0 +1,145 @@
+"""Replays of runs: they repeat the run, and their derivatives are those of what they compute."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from folded import folded, strip
+
+import jaxcrumple as jc
+from jaxcrumple.model.geometry import curvature
+from jaxcrumple.model.loads import dead_load
+from jaxcrumple.replay import replay
+from jaxcrumple.state import EXPLICIT, IMPLICIT, QUASISTATIC
+
+COLUMNS, RANGE = (4, 4), 0.5e-3
+LEAVES = {
+    "stretching": lambda s: s.membrane.stiffness,
+    "rest length": lambda s: s.membrane.rest_length,
+    "bending": lambda s: s.bending.stiffness,
+    "yield": lambda s: s.plasticity.yield_curvature,
+    "plastic time": lambda s: s.plasticity.time,
+    "mass": lambda s: s.mass,
+    "drag": lambda s: s.drag.coefficient,
+    "wall": lambda s: s.walls[0].stiffness,
+    "wall's place": lambda s: s.walls[0].shape.offset.start,
+    "wall's speed": lambda s: s.walls[0].shape.offset.rate,
+    "support": lambda s: s.prescribed.motion.velocity,
+    "load": lambda s: s.extra[0].parameters[0],
+    "contact": lambda s: s.contact.stiffness,
+    "range": lambda s: s.contact.range,
+}
+# What rounding leaves of differences of losses.
+ROUNDING = 3e-10
+RUNS = {
+    "quasistatic": ("pressed", [1e-3, 4e-3], {QUASISTATIC}),
+    "explicit": ("pressed", [1e-5, 2e-5], {EXPLICIT}),
+    "hybrid": ("confined", [0.1, 0.2], {IMPLICIT, EXPLICIT}),
+}
+
+
+def pressed():
+    """A strip with a fold at rest, some nodes of which are held, that a wall presses together: scene and
+    positions."""
+    mesh = strip(0.9 * RANGE, COLUMNS, 3)
+    x = folded(mesh, 0.9 * RANGE, COLUMNS)
+    held = np.zeros((mesh.n_nodes, 3), bool)
+    held[np.argsort(mesh.vertices[:, 0])[:3]] = True
+    top = np.argsort(x[:, 2])[-2:]
+    scene = jc.sheet(
+        mesh,
+        jc.Material(thickness=0.2e-3, yield_curvature=5.0),
+        walls=[jc.Plane((0.0, 0.0, -1.0), jc.Ramp(-0.8 * RANGE, 0.05))],
+        prescribed=jc.Prescribed(jnp.asarray(held), jc.LinearMotion(x, (0.0, 0.0, 0.01))),
+        extra=[dead_load(top, np.tile([0.0, 2e-3, 0.0], (2, 1)), 1e-3)],
+        contact=jc.SelfContact(range=RANGE),
+    )
+    bent = curvature(scene.bending.hinges(jnp.asarray(x)).theta)
+    return eqx.tree_at(lambda s: s.bending.rest_curvature, scene, bent), x
+
+
+def confined():
+    """A phantom sheet in a shrinking sphere: scene and positions."""
+    setup = jc.radial(60, sweeps=20, contact=None)
+    return setup.scene, setup.x
+
+
+@pytest.fixture(scope="module", params=RUNS)
+def run(request):
+    """A scene, and a run of it that is recorded."""
+    name, times, stages = RUNS[request.param]
+    scene, x = {"pressed": pressed, "confined": confined}[name]()
+    solver = jc.integrator(1e-2, scheme=request.param)
+    solution = jc.simulate(scene, jc.initial_state(scene, x), times, solver=solver, record=True)
+    assert solution.result == "success"
+    assert set(solution.record.stages) == stages
+    if scene.contact is not None:
+        last = jnp.asarray(solution.x[-1])
+        assert int(jc.with_contacts(scene, last).contact.gaps(last)[1]) > 0
+    return scene, solution
+
+
+def test_a_replay_repeats_the_run(run):
+    """To Newton's error in the run; its own is that of rounding."""
+    scene, solution = run
+    again = eqx.filter_jit(replay)(scene, solution.record)
+    size = float(scene.length_scale)
+    assert float(again.error) < 1e-11
+    np.testing.assert_array_equal(again.t, solution.t)
+    np.testing.assert_allclose(again.x, solution.x, atol=1e-7 * size, rtol=0)
+    np.testing.assert_allclose(again.p, solution.p, atol=1e-6, rtol=0)
+
+
+def test_derivatives_are_those_of_the_replay(run):
+    """Forward mode equals reverse mode, and both central differences, by every kind of number."""
+    scene, solution = run
+    rng = np.random.default_rng(0)
+    weights = [jnp.asarray(rng.normal(size=a.shape)) for a in (solution.x, solution.v, solution.p)]
+
+    def loss(scene):
+        frames = replay(scene, solution.record)
+        x, v, p = (jnp.sum(w * a) for w, a in zip(weights, frames[1:4], strict=True))
+        return x + 1e-3 * v + 1e-3 * p
+
+    value = eqx.filter_jit(loss)
+    gradient = eqx.filter_jit(eqx.filter_grad(loss))(scene)
+    change = eqx.filter_jit(lambda by: eqx.filter_jvp(loss, (scene,), (by,))[1])
+    still = jax.tree.map(lambda a: jnp.zeros_like(a) if eqx.is_inexact_array(a) else None, scene)
+    for name, leaf in LEAVES.items():
+        if not has(scene, leaf):
+            continue
+        own = leaf(scene)
+        for way in (own, own * jnp.asarray(rng.uniform(0.5, 1.5, own.shape))):
+            reverse = float(jnp.sum(leaf(gradient) * way))
+            assert float(change(eqx.tree_at(leaf, still, way))) == pytest.approx(reverse, rel=1e-8), name
+        # By a common factor: rest lengths that do not fit together bend a sheet.
+        reverse = float(jnp.sum(leaf(gradient) * own))
+        assert plateau(value, scene, leaf, own) == pytest.approx(reverse, rel=1e-4, abs=ROUNDING), name
+
+
+def has(scene, leaf):
+    """Whether the scene has that number."""
+    try:
+        return leaf(scene) is not None
+    except (AttributeError, IndexError):
+        return False
+
+
+def plateau(value, scene, leaf, way):
+    """Central difference of fourth order, of two steps the smaller one that agree best."""
+    found = np.array([difference(value, scene, leaf, way, 10.0**-k) for k in range(2, 9)])
+    with np.errstate(invalid="ignore"):
+        return found[1 + np.nanargmin(np.abs(np.diff(found)))]
+
+
+def difference(value, scene, leaf, way, step):
+    one, two = (
+        (float(value(at(scene, leaf, way, k * step))) - float(value(at(scene, leaf, way, -k * step))))
+        for k in (1, 2)
+    )
+    return (8.0 * one - two) / (12.0 * step)
+
+
+def at(scene, leaf, way, step):
+    return eqx.tree_at(leaf, scene, leaf(scene) + step * way)
