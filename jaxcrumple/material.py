@@ -10,9 +10,11 @@ import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxcrumple.mesh import FloatArray, Mesh
+from jaxcrumple.model.fields import as_float, is_known
 
 MAX_C0 = 1.99
 """Largest c0 of a hinge. |c| ends at 2, so c0 >= 2 would never yield, and (35) divides by 2 - c0."""
@@ -50,7 +52,7 @@ class Material:
     `yield_curvature` is a physical curvature; `discretize` turns it into the dimensionless yield curvature
     c0 of (35) hinge by hinge, so that a refined mesh yields at the same bend. `yield_c0` sets c0 itself, as
     the paper does; what it means then depends on the mesh (Fig. 3b). Give one of them.
-    `Material(yield_curvature=None)` is elastic.
+    `Material(yield_curvature=None)` is elastic. Numbers that JAX traces are not checked.
 
     **Raises:** `ValueError` naming field, value and unit if a value is not finite or has the wrong sign, if
     both yield fields are given, or for an unknown `mass_lumping`.
@@ -136,21 +138,30 @@ class Material:
             c0=self._yield_point(mesh),
             plastic_time=self.plastic_time,
             gamma=self.gamma,
-            sigma=float(np.mean(np.sqrt(8 * self.bending_constant / self.spring_constant))),
-            a_ref=float(ks.mean() / (mass.mean() * mesh.linear_density)),
+            sigma=_number(
+                self._numpy.mean(self._numpy.sqrt(8 * self.bending_constant / self.spring_constant))
+            ),
+            a_ref=_number(ks.mean() / (mass.mean() * mesh.linear_density)),
         )
 
     def _node_mass(self, mesh: Mesh) -> FloatArray:
         mass = self.density * self.thickness * mesh.node_area
-        return np.full(mesh.n_nodes, mass.mean()) if self.mass_lumping == "uniform" else mass
+        if self.mass_lumping == "uniform":
+            return self._numpy.broadcast_to(mass.mean(), mass.shape)
+        return mass
 
     def _yield_point(self, mesh: Mesh) -> FloatArray | None:
         if self.yield_c0 is not None:
-            return np.minimum(_edge_mean(self.yield_c0, mesh)[mesh.hinge_edges], MAX_C0)
+            return self._numpy.minimum(_edge_mean(self.yield_c0, mesh)[mesh.hinge_edges], MAX_C0)
         if self.yield_curvature is None:
             return None
         curvature = _edge_mean(self.yield_curvature, mesh)[mesh.hinge_edges]
-        return np.minimum(curvature * mesh.hinge_height, MAX_C0)
+        return self._numpy.minimum(curvature * mesh.hinge_height, MAX_C0)
+
+    @property
+    def _numpy(self) -> Any:
+        """NumPy, or that of JAX where some number is traced."""
+        return np if is_known(*(getattr(self, name) for name in _FIELDS)) else jnp
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,14 +191,21 @@ class ModelConstants:
 
 
 def _edge_mean(nodal: float | FloatArray, mesh: Mesh) -> FloatArray:
-    return np.broadcast_to(nodal, mesh.n_nodes)[mesh.edges].mean(axis=1)
+    numpy = np if is_known(nodal) else jnp
+    return numpy.broadcast_to(nodal, mesh.n_nodes)[mesh.edges].mean(axis=1)
+
+
+def _number(value: Any) -> Any:
+    return float(value) if is_known(value) else value
 
 
 def _checked(name: str, value: Any) -> Any:
-    """A float or a read-only array (n,)."""
+    """A float or a read-only array (n,); what JAX traces is taken as it is."""
     if value is None and name in ("yield_curvature", "yield_c0"):
         return None
     unit, rule = _FIELDS[name]
+    if not is_known(value):
+        return as_float(value)
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError):
@@ -207,6 +225,8 @@ def _checked(name: str, value: Any) -> Any:
     return array if array.ndim else float(array)
 
 
-def _check_length(name: str, value: float | FloatArray | None, n: int) -> None:
-    if isinstance(value, np.ndarray) and len(value) != n:
-        raise ValueError(f"{name} has {len(value)} values but the mesh has {n} nodes; give one value a node")
+def _check_length(name: str, value: Any, n: int) -> None:
+    if np.ndim(value) and np.shape(value)[0] != n:
+        raise ValueError(
+            f"{name} has {np.shape(value)[0]} values but the mesh has {n} nodes; give one value a node"
+        )

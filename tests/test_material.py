@@ -2,9 +2,12 @@
 
 import dataclasses
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import jaxcrumple as jc
 from jaxcrumple.material import MAX_C0, Material
 from jaxcrumple.meshgen import hexagonal, rectangle
 
@@ -145,3 +148,40 @@ def test_a_material_keeps_its_own_copy():
         material.thickness[0] = 1.0
     with pytest.raises(dataclasses.FrozenInstanceError):
         material.density = 1.0
+
+
+def test_a_scene_differentiates_by_its_material():
+    """Energies of all terms by every property, against central differences of scenes built anew."""
+    setup = jc.radial(60, sweeps=5)
+    x = jnp.asarray(setup.mesh.vertices) * 0.99 * jnp.array([1.0, 1.0, 1.2])
+    walls = [wall.shape for wall in setup.scene.walls]
+    own = {
+        "young_modulus": 1e9,
+        "thickness": 0.25e-3,
+        "density": 1000.0,
+        "yield_curvature": 50.0,
+        "plastic_time": 1e-3,
+        "drag_rate": 1e3,
+        "internal_damping_time": 2e-7,
+    }
+
+    def numbers(values, like=None):
+        made = jc.Material(**own | values)
+        scene = jc.sheet(setup.mesh, made, walls=walls, contact=jc.SelfContact(), like=like)
+        p = scene.bending.rest_curvature
+        parts = scene.membrane.energy(x), scene.bending.energy(x, 0.1 + p), scene.walls[0].energy(x, 0.2)
+        contact = scene.contact.stiffness * jnp.sum(scene.contact.density) * scene.contact.range**4
+        rate = jnp.sum(scene.plasticity.rate(p + 1.5, p))
+        rest = jnp.sum(scene.mass), jnp.sum(scene.drag.coefficient), jnp.sum(scene.damping.coefficient)
+        scales = scene.velocity_scale, scene.reference_acceleration, scene.contact.calm
+        return jnp.stack([*parts, contact, rate, *rest, *scales])
+
+    with pytest.raises(ValueError, match="give it as `like`"):
+        jax.jvp(lambda h: numbers({"thickness": h}), (1e-4,), (1.0,))
+    for name, value in own.items():
+        traced = jax.jvp(lambda v, name=name: numbers({name: v}, setup.scene), (value,), (value,))
+        np.testing.assert_allclose(traced[0], numbers({}), rtol=1e-12)
+        e = 1e-5
+        expected = (numbers({name: value * (1 + e)}) - numbers({name: value * (1 - e)})) / (2 * e)
+        assert np.all(np.abs(traced[1] - expected) <= 1e-6 * np.abs(expected) + 1e-9 * np.abs(traced[0]))
+        assert np.any(expected != 0.0)

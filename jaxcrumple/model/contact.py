@@ -24,7 +24,7 @@ from jaxcrumple.model.chart import Chart, build_chart
 from jaxcrumple.model.chunks import accumulate, compacted
 from jaxcrumple.model.crossing import crosses
 from jaxcrumple.model.fans import Fans, build_fans
-from jaxcrumple.model.fields import as_float
+from jaxcrumple.model.fields import as_float, is_known
 from jaxcrumple.model.geometry import add, dot, gather, scale
 from jaxcrumple.model.near import Candidates, Near, no_candidates, no_neighbors, split
 from jaxcrumple.model.stencil import upper_pairs
@@ -300,19 +300,63 @@ def _is_number(value: Any) -> bool:
     return np.ndim(value) == 0 and np.issubdtype(np.asarray(value).dtype, np.number)
 
 
-def build_contact(mesh: Mesh, constants: ModelConstants, options: SelfContact) -> Contact:
-    """Contact of a sheet; its stiffness is the mean spring constant.
+def build_contact(
+    mesh: Mesh, constants: ModelConstants, options: SelfContact, like: Contact | None = None
+) -> Contact:
+    """Contact of a sheet; its stiffness is the mean spring constant. Its refinement and lists are those of
+    `like`, where there is such.
 
-    **Raises:** ValueError for an unknown potential, a range that is not positive or a level below 0.
+    **Raises:** ValueError for an unknown potential, a range that is not positive or a level below 0, or a
+    range that JAX traces where nothing tells the level.
     """
     sigma = constants.sigma if options.range is None else options.range
     if options.potential not in get_args(Potential):
-        known = ", ".join(get_args(Potential))
-        raise ValueError(f"contact potential {options.potential!r} is unknown; choose one of {known}.")
-    if not (_is_number(sigma) and np.isfinite(sigma) and sigma > 0):
+        names = ", ".join(get_args(Potential))
+        raise ValueError(f"contact potential {options.potential!r} is unknown; choose one of {names}.")
+    known = is_known(sigma)
+    if known and not (_is_number(sigma) and np.isfinite(sigma) and sigma > 0):
         raise ValueError(f"contact range = {sigma!r} m must be a positive length; leave it out for h_eff.")
     barrier = options.potential == "barrier"
-    longest = float(mesh.edge_length.max())
+    if like is None:
+        if not known:
+            raise ValueError(
+                "the refinement of contact follows from its range, which JAX traces here: build the scene "
+                "once with plain numbers, and give it as `like`."
+            )
+        level = _level(mesh, sigma, options)
+        sites, fans, chart = build_sites(level), build_fans(mesh), build_chart(mesh)
+        weights, share = jnp.asarray(sites.weights), jnp.asarray(sites.share)
+        candidates = no_candidates(mesh.n_nodes, len(fans.triangles))
+        near = no_neighbors(mesh.n_nodes, len(sites.share))
+        core = as_float(CORE * _longest(mesh) / (level + 1)) if barrier else None
+    else:
+        weights, share, fans, chart = like.weights, like.share, like.fans, like.chart
+        candidates, near, core = like.candidates, like.near, like.core
+    least = 0.5 * (CALM * mesh.hinge_height.min() - sigma)
+    return Contact(
+        faces=jnp.asarray(mesh.faces, jnp.int32),
+        rest=jnp.asarray(mesh.vertices),
+        weights=weights,
+        share=share,
+        density=jnp.asarray(mesh.face_area / (np.sqrt(3.0) / 2.0 * sigma**2)),
+        stiffness=as_float(constants.ks.mean()),
+        range=as_float(sigma),
+        core=core,
+        calm=as_float(jnp.maximum(least, LEAST * sigma)),
+        fans=fans,
+        chart=chart,
+        candidates=candidates,
+        near=near,
+    )
+
+
+def _longest(mesh: Mesh) -> float:
+    return float(mesh.edge_length.max())
+
+
+def _level(mesh: Mesh, sigma: float, options: SelfContact) -> int:
+    """The refinement, as asked for or by default; refused or warned of where it is not fine enough."""
+    barrier, longest = options.potential == "barrier", _longest(mesh)
     # The largest triangle has a site per area of a lattice; a barrier needs all its sides covered.
     widest = np.sqrt(float(mesh.face_area.max()) * 4.0 / np.sqrt(3.0))
     penalty = max(widest / (SPACING * sigma), longest / (LONGEST_SPACING * sigma))
@@ -324,8 +368,7 @@ def build_contact(mesh: Mesh, constants: ModelConstants, options: SelfContact) -
             f"contact level = {level!r} must be a whole number from 0 on; leave it out for {needed}, whose "
             "sites are about a range apart."
         )
-    core = CORE * longest / (level + 1)
-    if barrier and core > WIDEST_CORE * sigma:
+    if barrier and CORE * longest / (level + 1) > WIDEST_CORE * sigma:
         raise ValueError(
             f"contact level = {level} leaves sites too far apart for a barrier of range {sigma:.3g} m; "
             f"choose level {needed} or leave it out."
@@ -334,21 +377,6 @@ def build_contact(mesh: Mesh, constants: ModelConstants, options: SelfContact) -
         warnings.warn(
             f"contact level = {level} leaves sites so far apart that layers may meet between them without a "
             f"force, which ends a run as blocked; choose level {needed} or leave it out.",
-            stacklevel=3,
+            stacklevel=5,
         )
-    sites, fans = build_sites(level), build_fans(mesh)
-    return Contact(
-        faces=jnp.asarray(mesh.faces, jnp.int32),
-        rest=jnp.asarray(mesh.vertices),
-        weights=jnp.asarray(sites.weights),
-        share=jnp.asarray(sites.share),
-        density=jnp.asarray(mesh.face_area / (np.sqrt(3.0) / 2.0 * sigma**2)),
-        stiffness=as_float(np.mean(constants.ks)),
-        range=as_float(sigma),
-        core=as_float(core) if barrier else None,
-        calm=as_float(max(0.5 * (CALM * mesh.hinge_height.min() - sigma), LEAST * sigma)),
-        fans=fans,
-        chart=build_chart(mesh),
-        candidates=no_candidates(mesh.n_nodes, len(fans.triangles)),
-        near=no_neighbors(mesh.n_nodes, len(sites.share)),
-    )
+    return int(level)

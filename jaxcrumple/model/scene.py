@@ -1,13 +1,14 @@
 """Scene: everything the equations of motion contain, and what one differentiates."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxcrumple.material import Material
+from jaxcrumple.material import Material, ModelConstants
 from jaxcrumple.mesh import Mesh
 from jaxcrumple.model.bending import Bending
 from jaxcrumple.model.confinement import AbstractShape, Wall
@@ -97,8 +98,11 @@ def sheet(
     plasticity: AbstractFlowRule | None = None,
     damping: str = "central",
     contact: SelfContact | None = None,
+    like: Scene | None = None,
 ) -> Scene:
     """Scene of one sheet.
+
+    A function of the material with derivatives, where `like` has what is made on the host.
 
     **Arguments:**
 
@@ -110,9 +114,11 @@ def sheet(
     - `plasticity`: a flow rule of your own in place of the material's.
     - `damping`: "central" (default) or "paper" (eq. 25).
     - `contact`: `SelfContact(...)`, or None for a phantom sheet, which passes through itself.
+    - `like`: a scene of the same mesh, stencils and contact, from which the tangent's pattern, the refinement
+      of contact and its lists are taken.
 
     **Returns:** a `Scene`. **Raises:** ValueError when x64 is off, or for an unknown option, a wall that is
-    none, a gravity that is not three finite numbers or a mask of another shape.
+    none, a gravity that is not three finite numbers, a mask of another shape, or a scene that is not alike.
     """
     _require_x64()
     if damping not in ("central", "paper"):
@@ -120,13 +126,15 @@ def sheet(
     _check_surroundings(mesh, walls, gravity, prescribed)
     if contact is not None and not isinstance(contact, SelfContact):
         raise ValueError(f"contact = {contact!r} must be SelfContact(...), or None for a phantom sheet.")
+    if like is not None:
+        _check_alike(mesh, contact, like)
     constants = material.discretize(mesh)
     edges, hinges = jnp.asarray(mesh.edges), jnp.asarray(mesh.hinges)
     mass = jnp.asarray(constants.mass)
     b_int = jnp.asarray(constants.b_int)
     rest_length = jnp.asarray(mesh.edge_length)
     dashpot: AbstractDashpot | None
-    if not np.any(constants.b_int):
+    if not _is_present(constants.b_int):
         dashpot = None
     elif damping == "central":
         dashpot = CentralDashpot(edges, b_int)
@@ -135,7 +143,11 @@ def sheet(
     if plasticity is None and constants.c0 is not None:
         c0 = jnp.asarray(constants.c0)
         plasticity = SmoothstepFlow(c0, jnp.asarray(constants.plastic_time), jnp.asarray(constants.gamma))
-    stencils = [mesh.edges, mesh.hinges, *(np.asarray(e.nodes) for e in extra)]
+    if like is None:
+        stencils = [mesh.edges, mesh.hinges, *(np.asarray(e.nodes) for e in extra)]
+        pattern = build_pattern(mesh.vertices, stencils, None if contact is None else mesh.faces)
+    else:
+        pattern = like.pattern
     return Scene(
         mass=mass,
         area=jnp.asarray(mesh.area),
@@ -148,15 +160,32 @@ def sheet(
             jnp.asarray(mesh.rest_curvature),
         ),
         plasticity=plasticity,
-        drag=Drag(jnp.asarray(constants.drag)) if np.any(constants.drag) else None,
+        drag=Drag(jnp.asarray(constants.drag)) if _is_present(constants.drag) else None,
         damping=dashpot,
         walls=tuple(_wall(w, mesh, constants) for w in walls),
         gravity=None if gravity is None else Gravity(jnp.asarray(gravity, float), mass),
         prescribed=prescribed,
         extra=tuple(extra),
-        contact=None if contact is None else build_contact(mesh, constants, contact),
-        pattern=build_pattern(mesh.vertices, stencils, None if contact is None else mesh.faces),
+        contact=_contact(mesh, constants, contact, like),
+        pattern=pattern,
     )
+
+
+def _contact(
+    mesh: Mesh, constants: ModelConstants, options: SelfContact | None, like: Scene | None
+) -> Contact | None:
+    if options is None:
+        return None
+    return build_contact(mesh, constants, options, None if like is None else like.contact)
+
+
+def _check_alike(mesh: Mesh, contact: SelfContact | None, like: Scene) -> None:
+    same = like.n_nodes == mesh.n_nodes and like.membrane.nodes.shape == mesh.edges.shape
+    if not same or (contact is None) != (like.contact is None):
+        raise ValueError(
+            "the scene that this one is to be like has another mesh, or contact where this one has none, or "
+            "the other way round; leave `like` out."
+        )
 
 
 def _check_surroundings(mesh: Mesh, walls, gravity, prescribed: Prescribed | None) -> None:
@@ -174,7 +203,7 @@ def _check_surroundings(mesh: Mesh, walls, gravity, prescribed: Prescribed | Non
 def _wall(wall: Wall | AbstractShape, mesh: Mesh, constants) -> Wall:
     if isinstance(wall, Wall):
         return wall
-    share = WALL_SHARE * float(np.mean(constants.ks)) * WALL_NODES / mesh.area
+    share = WALL_SHARE * constants.ks.mean() * WALL_NODES / mesh.area
     return Wall(wall, jnp.asarray(share * mesh.node_area), jnp.asarray(constants.sigma))
 
 
@@ -184,9 +213,14 @@ def _velocity_scale(mesh: Mesh, material: Material) -> Array:
     A velocity error moves a node by that error over the drag rate before drag removes it; without
     drag the speed of sound in the sheet stands in.
     """
-    sound = np.sqrt(material.young_modulus / material.density)
-    scale = np.sqrt(mesh.area) * material.drag_rate if material.drag_rate > 0 else sound
-    return jnp.asarray(scale)
+    if _is_present(material.drag_rate):
+        return jnp.asarray(np.sqrt(mesh.area) * material.drag_rate)
+    return jnp.sqrt(jnp.asarray(material.young_modulus / material.density))
+
+
+def _is_present(values: Any) -> bool:
+    """Whether a term has numbers other than 0; what JAX traces is taken to have."""
+    return not is_known(values) or bool(np.any(values))
 
 
 def _require_x64() -> None:
