@@ -9,7 +9,6 @@ import scipy.sparse as sparse
 from jax import Array
 
 from jaxcrumple.model.geometry import curvature
-from jaxcrumple.model.loads import Prescribed
 from jaxcrumple.model.plasticity import implicit_update
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.state import ImplicitStep, State
@@ -119,7 +118,7 @@ def _condensed(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array
         total = total + scene.damping.step_force(x, v, step.damping_memory, step.beta_h)
     if step.v_memory is not None:
         total = total - scene.mass[:, None] * step.acceleration(v)
-    value = -total if scene.prescribed is None else scene.prescribed.free(-total)
+    value = -total if scene.prescribed is None else scene.prescribed.free(-total, step.t)
     return value, p, softening
 
 
@@ -157,18 +156,18 @@ def _assemble(scene: Scene, x, t, edge_blocks, hinge_blocks, nodes) -> Array:
     else:
         blocks, cross, lift = scene.contact.add_tangent(x, blocks, pattern.contact.face_blocks)
         values = jnp.concatenate([pattern.values(blocks), cross.reshape(-1), lift])
-    return values if scene.prescribed is None else _eliminate(scene, scene.prescribed, values)
+    return values if scene.prescribed is None else _eliminate(scene, scene.prescribed.held(t), values)
 
 
-def _eliminate(scene: Scene, prescribed: Prescribed, values: Array) -> Array:
-    """Replace rows and columns of prescribed components by the identity times a typical stiffness."""
-    pattern, mask = scene.pattern, prescribed.mask.reshape(-1)
+def _eliminate(scene: Scene, held: Array, values: Array) -> Array:
+    """Replace rows and columns of components `held` (n, 3) by the identity times a typical stiffness."""
+    pattern, mask = scene.pattern, held.reshape(-1)
     fixed = mask[pattern.rows] | mask[pattern.indices]
     unit = jnp.where(pattern.rows == pattern.indices, jnp.mean(scene.membrane.stiffness), 0.0)
     own = jnp.where(fixed, unit, values[: pattern.nnz])
     if pattern.contact is None:
         return own
-    return jnp.concatenate([own, pattern.contact.free(values[pattern.nnz :], prescribed.mask)])
+    return jnp.concatenate([own, pattern.contact.free(values[pattern.nnz :], held)])
 
 
 def tangent(scene: Scene, state: State) -> sparse.csr_array:

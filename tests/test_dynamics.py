@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from lattice import SPACING, advance, constants, elastic, held, lattice, run, solver, strip_scene, with_terms
 
+import jaxcrumple as jc
 from jaxcrumple.model.loads import ElementEnergy
 from jaxcrumple.model.scene import sheet
 from jaxcrumple.simulate import simulate
@@ -223,3 +224,19 @@ def test_an_explicit_run_with_moving_supports_goes_on_to_the_same_bits_wherever_
         cut, _ = run(scene, cut, jnp.asarray(1e-4), explicit(1e-3), 7.0)
     for name in ("x", "v", "h_explicit"):
         assert np.asarray(getattr(cut, name)).tobytes() == np.asarray(getattr(whole, name)).tobytes(), name
+
+
+@pytest.mark.parametrize("scheme", ["dynamic", "explicit"])
+def test_a_support_that_lets_go_lets_fall(scheme):
+    """Held until 1 ms, then free fall for 2 ms: z = -g (t - t0)^2 / 2, in a sheet without drag."""
+    mesh = jc.hexagonal(3, 3, 1e-2)
+    material = jc.Material(drag_rate=0.0, internal_damping_time=0.0, yield_curvature=None)
+    motion = jc.LinearMotion(mesh.vertices, (0.0, 0.0, 0.0))
+    held = jc.Prescribed(jnp.ones((mesh.n_nodes, 3), bool), motion, until=1e-3)
+    scene = jc.sheet(mesh, material, gravity=(0.0, 0.0, -9.81), prescribed=held)
+    state = jc.initial_state(scene, mesh.vertices)
+    solution = jc.simulate(scene, state, [1e-3, 3e-3], solver=jc.integrator(1e-4, scheme=scheme))
+    assert solution.result == "success"
+    np.testing.assert_array_equal(solution.x[0], mesh.vertices)
+    np.testing.assert_allclose(solution.x[1, :, 2], -0.5 * 9.81 * 4e-6, rtol=5e-3)
+    np.testing.assert_allclose(solution.v[1, :, 2], -9.81 * 2e-3, rtol=5e-3)

@@ -13,6 +13,9 @@ from jax.typing import ArrayLike
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.stencil import upper_pairs
 
+# Share of a time of release by which the end of a step may miss it.
+ROUNDING = 1e-12
+
 
 class Gravity(eqx.Module):
     """Uniform acceleration `g` (3,) in m/s2 acting on the nodal masses `mass` (n,) in kg."""
@@ -49,29 +52,35 @@ class LinearMotion(AbstractMotion):
 
 
 class Prescribed(eqx.Module):
-    """Node components that follow a given motion (fixed nodes: zero velocity).
+    """Node components that follow a given motion (fixed nodes: zero velocity), for good or for some time.
 
-    **Arguments:** `mask` (n, 3) bool, True where prescribed; `motion` an `AbstractMotion`.
+    **Arguments:** `mask` (n, 3) bool, True where prescribed; `motion` an `AbstractMotion`; `until`: time in
+    s of the release, after which all are free. Make it a frame time, so that a step ends there.
     """
 
     mask: Array
     motion: AbstractMotion
+    until: Array = eqx.field(default=jnp.inf, converter=as_float)
+
+    def held(self, t: Array) -> Array:
+        """Components (n, 3) that are prescribed at time `t`; rounding does not release them."""
+        return self.mask & (t <= (1.0 + ROUNDING) * self.until)
 
     def position(self, x: Array, t: Array) -> Array:
         """`x` (n, 3) with the prescribed components put in place."""
-        return jnp.where(self.mask, self.motion(t), x)
+        return jnp.where(self.held(t), self.motion(t), x)
 
     def velocity(self, v: Array, t: Array) -> Array:
         """`v` (n, 3) with the prescribed components' velocities."""
-        return jnp.where(self.mask, _derivative(self.motion, t), v)
+        return jnp.where(self.held(t), _derivative(self.motion, t), v)
 
     def acceleration(self, a: Array, t: Array) -> Array:
         """`a` (n, 3) with the prescribed components' accelerations."""
-        return jnp.where(self.mask, _derivative(lambda s: _derivative(self.motion, s), t), a)
+        return jnp.where(self.held(t), _derivative(lambda s: _derivative(self.motion, s), t), a)
 
-    def free(self, residual: Array) -> Array:
-        """`residual` (n, 3) with the prescribed components' entries set to zero."""
-        return jnp.where(self.mask, 0.0, residual)
+    def free(self, residual: Array, t: Array) -> Array:
+        """`residual` (n, 3) with the entries of components prescribed at time `t` set to zero."""
+        return jnp.where(self.held(t), 0.0, residual)
 
 
 def _derivative(function: Callable[[Array], Array], t: Array) -> Array:

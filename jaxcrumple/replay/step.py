@@ -69,9 +69,9 @@ class RecordedStep(NamedTuple):
     def _supported(self, scene: Scene, old: Array, x: Array) -> Array:
         if scene.prescribed is None:
             return x
-        theta, prescribed = self.formula.theta, scene.prescribed
-        there = theta * prescribed.motion(self.t + self.h) + (1.0 - theta) * old
-        return jnp.where(prescribed.mask, there, x)
+        theta, prescribed, end = self.formula.theta, scene.prescribed, self.t + self.h
+        there = theta * prescribed.motion(end) + (1.0 - theta) * old
+        return jnp.where(prescribed.held(end), there, x)
 
 
 def newest(past: Point) -> Point:

@@ -116,7 +116,7 @@ def _largest(scene: Scene) -> Array:
 
 def _free_force(scene: Scene, state: State, x: Array) -> Array:
     net = force(scene, x, jnp.zeros_like(x), state.p, state.t)
-    return net if scene.prescribed is None else scene.prescribed.free(net)
+    return net if scene.prescribed is None else scene.prescribed.free(net, state.t)
 
 
 def _within_reach(scene: Scene, x: Array, step: Array) -> Array:
