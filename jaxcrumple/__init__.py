@@ -1,5 +1,6 @@
 """jaxcrumple: a differentiable JAX simulator of thin elastoplastic sheets."""
 
+from jaxcrumple.calibrate import Experiment, Fit, Parameter, calibrate_fold, fit
 from jaxcrumple.config import ConfigError, configure
 from jaxcrumple.io import CheckpointError, Run, RunDirectoryError, load
 from jaxcrumple.material import Material
@@ -13,7 +14,7 @@ from jaxcrumple.model.scene import Scene, sheet
 from jaxcrumple.renewal import with_contacts
 from jaxcrumple.replay import Record, Replay, replay
 from jaxcrumple.run import resume_run, start_run
-from jaxcrumple.scenes import arch, cap, energy_drop, radial, relaxed_drop
+from jaxcrumple.scenes import arch, cap, energy_drop, fold, fold_angle, radial, relaxed_drop
 from jaxcrumple.simulate import SimulationError, Solution, frame_times, simulate
 from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.relax import relax
@@ -31,12 +32,15 @@ __all__ = [
     "ConfigError",
     "Cylinder",
     "ElementEnergy",
+    "Experiment",
+    "Fit",
     "Gravity",
     "Integrator",
     "LinearMotion",
     "Material",
     "Mesh",
     "MeshError",
+    "Parameter",
     "Plane",
     "Prescribed",
     "Ramp",
@@ -54,12 +58,16 @@ __all__ = [
     "Switch",
     "Wall",
     "arch",
+    "calibrate_fold",
     "cap",
     "configure",
     "disc",
     "elastic_tangent",
     "energies",
     "energy_drop",
+    "fit",
+    "fold",
+    "fold_angle",
     "force",
     "frame_times",
     "hexagonal",

@@ -72,18 +72,18 @@ def _forward(scene: Scene, past: Point, record: Record) -> tuple[Point, Point, A
         past, frames, error = carry
         steps, lists = part
         here = with_lists(scene, lists, record.near)
-        workspace = _workspace(here, record)
 
         def advance(carry, step: Steps):
-            past, error = carry
-            new, left = jax.lax.cond(
+            past, error, factor = carry
+            new, left, factor = jax.lax.cond(
                 step.valid,
-                lambda: _step(here, past, step, record, workspace),
-                lambda: (newest(past), jnp.zeros(())),
+                lambda: _step(here, past, step, record, factor),
+                lambda: (newest(past), jnp.zeros(()), factor),
             )
-            return (_pushed(past, new), jnp.maximum(error, left)), new
+            return (_pushed(past, new), jnp.maximum(error, left), factor), new
 
-        (last, error), points = jax.lax.scan(advance, (past, error), steps)
+        carry = past, error, _workspace(here, record)
+        (last, error, _), points = jax.lax.scan(advance, carry, steps)
         rows = jax.tree.map(lambda old, new: jnp.concatenate([old[::-1], new]), past, points)
         count = jnp.sum(steps.valid)
         last = jax.tree.map(lambda a: jax.lax.dynamic_slice_in_dim(a, count, HISTORY)[::-1], rows)
@@ -172,20 +172,20 @@ def _by_stage(step: Steps, record: Record, implicit, explicit):
 
 
 def _step(
-    scene: Scene, past: Point, step: Steps, record: Record, workspace: Factor | None
-) -> tuple[Point, Array]:
-    """The point after a step, and how well its equations are solved."""
+    scene: Scene, past: Point, step: Steps, record: Record, factor: Factor | None
+) -> tuple[Point, Array, Factor | None]:
+    """The point after a step, how well its equations are solved, and the last factor."""
     old = newest(past)
     scene = near_step(scene, old.x, step.x, step.stage == EXPLICIT)
 
-    def implicit() -> tuple[Point, Array]:
-        assert record.linear is not None and workspace is not None
-        return solved(scene, _implicit(step, record), past, step.x, record.linear, workspace)
+    def implicit() -> tuple[Point, Array, Factor | None]:
+        assert record.linear is not None and factor is not None
+        return solved(scene, _implicit(step, record), past, step.x, record.linear, factor)
 
-    def explicit_step() -> tuple[Point, Array]:
+    def explicit_step() -> tuple[Point, Array, Factor | None]:
         point = Point(*explicit.advance(scene, step.t, step.h, *old))
         finite = jnp.isfinite(jnp.sum(point.x)) & jnp.isfinite(jnp.sum(point.v))
-        return point, jnp.where(finite, 0.0, jnp.inf)
+        return point, jnp.where(finite, 0.0, jnp.inf), factor
 
     return _by_stage(step, record, implicit, explicit_step)
 

@@ -83,16 +83,18 @@ class _Carry(NamedTuple):
     x: Array
     factor: Factor
     update: Array
+    own: Array
     renew: Array
     settled: Array
     iterations: Array
 
 
 def solved(
-    scene: Scene, step: RecordedStep, past: Point, guess: Array, linear: AbstractLinearSolver, start: Factor
-) -> tuple[Point, Array]:
-    """The point after a step, and the last update of Newton's iteration from the positions `guess` (n, 3)
-    over the sheet's size: how far it is from the root at most, infinite if it found none."""
+    scene: Scene, step: RecordedStep, past: Point, guess: Array, linear: AbstractLinearSolver, last: Factor
+) -> tuple[Point, Array, Factor]:
+    """The point after a step, the last update of Newton's iteration from the positions `guess` (n, 3) over
+    the sheet's size: how far it is from the root at most, infinite if it found none; and the factor that it
+    ended with. It begins with that of the `last` step, which serves where the guess is good."""
 
     def body(carry: _Carry) -> _Carry:
         def renewed() -> Factor:
@@ -104,24 +106,29 @@ def solved(
         solution = linear.solve(scene.pattern, factor, values, -value.reshape(-1), FORCING)
         update = jnp.max(jnp.abs(solution.x)) / scene.length_scale
         contraction = update / carry.update
-        stalled = (update < SETTLED) & (contraction > 0.5)
+        # What an old factor says of a way that is not short is nothing.
+        astray = (carry.iterations == 0) & ~carry.renew & ~(update < SETTLED)
+        moved = carry.x + solution.x.reshape(carry.x.shape)
+        stalled = (update < SETTLED) & (contraction > 0.5) & carry.own
         return _Carry(
-            carry.x + solution.x.reshape(carry.x.shape),
+            jnp.where(astray, carry.x, moved),
             factor,
-            update,
-            contraction > CONTRACTION,
-            (update < TIGHT) | stalled | ~jnp.isfinite(update),
+            jnp.where(astray, jnp.inf, update),
+            carry.own | carry.renew,
+            astray | (contraction > CONTRACTION),
+            ~astray & ((update < TIGHT) | stalled | ~jnp.isfinite(update)),
             carry.iterations + 1,
         )
 
     def unfinished(carry: _Carry) -> Array:
         return ~carry.settled & (carry.iterations < MOST_ITERATIONS)
 
-    yes, old = jnp.asarray(True), newest(past).x
-    first = _Carry(step.unknown(scene, old, guess), start, jnp.asarray(jnp.inf), yes, ~yes, jnp.asarray(0))
+    no, start = jnp.asarray(False), step.unknown(scene, newest(past).x, guess)
+    first = _Carry(start, last, jnp.asarray(jnp.inf), no, jnp.asarray(not linear.exact), no, jnp.asarray(0))
     end = jax.lax.while_loop(unfinished, body, first)
     point = step.point(scene, past, end.x)
-    return point, jnp.where(end.settled & jnp.isfinite(end.update), end.update, jnp.inf)
+    good = end.settled & jnp.isfinite(end.update)
+    return point, jnp.where(good, end.update, jnp.inf), end.factor
 
 
 def changed(

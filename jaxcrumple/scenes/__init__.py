@@ -3,7 +3,20 @@
 from jaxcrumple.scenes.arch import arch
 from jaxcrumple.scenes.cap import cap
 from jaxcrumple.scenes.catalogue import SCENES, SceneEntry
+from jaxcrumple.scenes.fold import fold, fold_angle
 from jaxcrumple.scenes.radial import Setup, radial
 from jaxcrumple.scenes.snap import Drop, energy_drop, relaxed_drop
 
-__all__ = ["SCENES", "Drop", "SceneEntry", "Setup", "arch", "cap", "energy_drop", "radial", "relaxed_drop"]
+__all__ = [
+    "SCENES",
+    "Drop",
+    "SceneEntry",
+    "Setup",
+    "arch",
+    "cap",
+    "energy_drop",
+    "fold",
+    "fold_angle",
+    "radial",
+    "relaxed_drop",
+]

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from jaxcrumple.model.contact import Potential
 from jaxcrumple.scenes.arch import arch
 from jaxcrumple.scenes.cap import cap
+from jaxcrumple.scenes.fold import TIMES, fold
 from jaxcrumple.scenes.radial import Setup, radial
 
 
@@ -80,6 +81,20 @@ class CapOptions(SnapOptions):
     sweeps: int = Field(100, ge=0)
 
 
+class FoldOptions(BaseModel):
+    """Options of `fold`; lengths in m, times in s."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    size: float = Field(0.1, gt=0)
+    gap: float = Field(6e-3, gt=0)
+    close: float = Field(TIMES.close, gt=0)
+    press: float = Field(TIMES.press, gt=0)
+    hold: float = Field(TIMES.hold, gt=0)
+    relax: float = Field(TIMES.relax, gt=0)
+    sweeps: int = Field(100, ge=0)
+
+
 SCENES: dict[str, SceneEntry] = {
     "radial": SceneEntry(
         radial,
@@ -94,5 +109,8 @@ SCENES: dict[str, SceneEntry] = {
     ),
     "cap": SceneEntry(
         cap, CapOptions, 0.05, "shallow spherical cap, pinned at its rim, that a load turns inside out"
+    ),
+    "fold": SceneEntry(
+        fold, FoldOptions, TIMES.end, "square sheet folded in half, pressed and let go (Fig. 3b)"
     ),
 }

@@ -11,6 +11,7 @@ from jaxcrumple.mesh import Mesh
 from jaxcrumple.meshgen import rectangle
 from jaxcrumple.model.confinement import Ramp, Sphere
 from jaxcrumple.model.contact import Potential, SelfContact
+from jaxcrumple.model.damping import PaperDashpot
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.scene import Scene, sheet
 
@@ -19,11 +20,29 @@ IMPERFECTION_WAVELENGTH = 0.02
 
 
 class Setup(NamedTuple):
-    """A scene ready to run: the sheet's `mesh`, the `scene`, and where its nodes `x` (n, 3) start."""
+    """A scene ready to run: the sheet's `mesh`, the `scene`, where its nodes `x` (n, 3) start, and options of
+    its self-`contact`, if it has any."""
 
     mesh: Mesh
     scene: Scene
     x: Array
+    contact: SelfContact | None = None
+
+    def made_of(self, material: Material) -> Scene:
+        """The scene with the sheet of another material, and walls and contact as they follow from that: a
+        function with derivatives."""
+        scene = self.scene
+        return sheet(
+            self.mesh,
+            material,
+            walls=[wall.shape for wall in scene.walls],
+            gravity=None if scene.gravity is None else tuple(scene.gravity.g),
+            prescribed=scene.prescribed,
+            extra=scene.extra,
+            damping="paper" if isinstance(scene.damping, PaperDashpot) else "central",
+            contact=self.contact,
+            like=scene,
+        )
 
 
 def radial(
@@ -65,7 +84,7 @@ def radial(
     wall = Sphere(jnp.zeros(3), Ramp(as_float(radius), as_float(-speed)))
     touching = None if contact is None else SelfContact(contact, contact_range, contact_level)
     scene = sheet(mesh, material or Material(), walls=[wall], damping=damping, contact=touching)
-    return Setup(mesh, scene, jnp.asarray(mesh.vertices))
+    return Setup(mesh, scene, jnp.asarray(mesh.vertices), touching)
 
 
 def smooth_imperfection(points: np.ndarray, size: float, amplitude: float, seed: int) -> np.ndarray:

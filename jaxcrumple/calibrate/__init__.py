@@ -1,0 +1,7 @@
+"""Parameters from measurements: fits of runs by their derivatives."""
+
+from jaxcrumple.calibrate.evaluate import Experiment
+from jaxcrumple.calibrate.fit import Fit, Parameter, fit
+from jaxcrumple.calibrate.fold import FoldCalibration, calibrate_fold
+
+__all__ = ["Experiment", "Fit", "FoldCalibration", "Parameter", "calibrate_fold", "fit"]

@@ -1,0 +1,181 @@
+"""`fit`: parameters of runs from measurements, by least squares or by gradients."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pandas as pd
+from jax import Array
+from scipy.optimize import least_squares
+
+from jaxcrumple.calibrate.evaluate import Evaluations, Experiment, Values
+from jaxcrumple.solvers.scheme import Integrator
+
+__all__ = ["Experiment", "Fit", "Parameter", "fit"]
+
+
+class Parameter(NamedTuple):
+    """A parameter to be found: where to `start`, its bounds, and whether on a logarithmic scale."""
+
+    start: float
+    lower: float
+    upper: float
+    log: bool = True
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What `fit` returns.
+
+    `values` and their standard deviations `std` by name; `covariance` (k, k) and `condition`, that of the
+    derivatives of the residuals, both by encoded parameters (the logarithm of those on a logarithmic scale);
+    `loss`: half the sum of squares of the `residuals` (m,); `history`: a line for each evaluation, of which
+    `evaluations` are runs and `gradient_evaluations` derivatives; `success` and why it ended, `message`.
+    """
+
+    values: dict[str, float]
+    std: dict[str, float]
+    covariance: np.ndarray
+    condition: float
+    loss: float
+    residuals: np.ndarray
+    history: pd.DataFrame
+    evaluations: int
+    gradient_evaluations: int
+    success: bool
+    message: str
+
+
+def fit(
+    experiment: Experiment,
+    parameters: Mapping[str, Parameter],
+    *,
+    method: Literal["least-squares"] | optax.GradientTransformation = "least-squares",
+    solver: Integrator | None = None,
+    max_steps: int = 30,
+    rtol: float = 1e-4,
+    scaled: bool = True,
+    checkpoint: str | Path | None = None,
+    tell: Callable[[Mapping[str, Any]], None] = lambda row: None,
+) -> Fit:
+    """Parameters for which an experiment leaves least residuals.
+
+    Every trial is a run of its own, with its own steps; its derivatives are those of its `replay`.
+
+    **Arguments:**
+
+    - `experiment`: what is run, and how its frames are compared with what was measured.
+    - `parameters`: those to be found, by name.
+    - `method`: "least-squares", the trust-region method of SciPy with derivatives in forward mode; or an
+      optimiser of Optax, with gradients in reverse mode and clipped to the bounds.
+    - `solver`: of the runs, by default `integrator()`.
+    - `max_steps`: runs of "least-squares", or steps of an optimiser, at most.
+    - `rtol`: relative change of loss or parameters at which it ends.
+    - `scaled`: whether the uncertainty is scaled so that the residuals have the standard deviation 1;
+      otherwise they are taken to have it.
+    - `checkpoint`: file of all evaluations; a fit that finds one goes on from it to the same answer.
+    - `tell`: called with each new line of the history.
+
+    **Raises:** ValueError for bounds that do not hold the start or, on a logarithmic scale, are not positive,
+    for an unknown method, a file of another fit, a first run that fails, or a parameter that does nothing.
+    """
+    names = tuple(parameters)
+    code = _Code(parameters)
+    path = None if checkpoint is None else Path(checkpoint)
+    evaluations = Evaluations(experiment, code.decoded, names, solver, path, tell)
+    first = evaluations.residuals(code.start)
+    if not np.all(np.isfinite(first)):
+        raise ValueError(f"the run at the start, {code.decoded(code.start)}, fails: choose another start.")
+    idle = [
+        name for name, own in zip(names, evaluations.jacobian(code.start).T, strict=True) if not own.any()
+    ]
+    if idle:
+        raise ValueError(f"the residuals do not depend on {idle[0]} at the start: choose another start.")
+    if method == "least-squares":
+        u, success, message = _least_squares(evaluations, code, max_steps, rtol)
+    elif isinstance(method, optax.GradientTransformation):
+        u, success, message = _descent(evaluations, code, method, max_steps, rtol)
+    else:
+        raise ValueError(f"method = {method!r} must be 'least-squares' or an optimiser of Optax.")
+    return _result(evaluations, code, u, scaled, success, message)
+
+
+class _Code:
+    """Encodes parameters: logarithms of those on a logarithmic scale."""
+
+    def __init__(self, parameters: Mapping[str, Parameter]):
+        for name, own in parameters.items():
+            if not own.lower < own.start < own.upper:
+                raise ValueError(f"{name}: its start must lie between its bounds, but {own}.")
+            if own.log and not own.lower > 0:
+                raise ValueError(f"{name}: its bounds must be positive on a logarithmic scale, but {own}.")
+        self.parameters = dict(parameters)
+        self.log = np.array([own.log for own in parameters.values()])
+        rows = np.array([own[:3] for own in parameters.values()], float)
+        encoded = np.where(self.log[:, None], np.log(np.where(self.log[:, None], rows, 1.0)), rows)
+        self.start, self.lower, self.upper = encoded.T
+
+    def decoded(self, u: Array | np.ndarray) -> Values:
+        """Values by name."""
+        powers = jnp.exp(jnp.where(self.log, u, 0.0))
+        return dict(zip(self.parameters, jnp.where(self.log, powers, u), strict=True))
+
+
+def _least_squares(evaluations: Evaluations, code: _Code, max_steps: int, rtol: float):
+    found = least_squares(
+        evaluations.residuals,
+        code.start,
+        jac=evaluations.jacobian,
+        bounds=(code.lower, code.upper),
+        x_scale="jac",
+        max_nfev=max_steps,
+        ftol=rtol,
+        xtol=rtol,
+        gtol=None,
+    )
+    return found.x, bool(found.success), found.message
+
+
+def _descent(evaluations: Evaluations, code: _Code, method: optax.GradientTransformation, steps: int, rtol):
+    u = jnp.asarray(code.start)
+    memory, best = method.init(u), (np.inf, code.start)
+    for _ in range(steps):
+        residuals = evaluations.residuals(np.asarray(u))
+        loss = 0.5 * float(residuals @ residuals)
+        best = min(best, (loss, np.asarray(u)), key=lambda pair: pair[0])
+        if not np.isfinite(loss):
+            return best[1], False, f"the run at {code.decoded(u)} fails: take shorter steps."
+        change, memory = method.update(jnp.asarray(evaluations.gradient(np.asarray(u))), memory, u)
+        moved = jnp.clip(optax.apply_updates(u, change), code.lower, code.upper)
+        still, u = float(jnp.max(jnp.abs(moved - u))) < rtol, moved
+        if still:
+            return best[1], True, "the parameters no longer change."
+    return best[1], False, "the steps are used up."
+
+
+def _result(evaluations: Evaluations, code: _Code, u, scaled: bool, success: bool, message: str) -> Fit:
+    residuals, jacobian = evaluations.residuals(u), evaluations.jacobian(u)
+    free = max(len(residuals) - len(u), 1)
+    spread = float(residuals @ residuals) / free if scaled else 1.0
+    covariance = spread * np.linalg.pinv(jacobian.T @ jacobian)
+    values = {name: float(value) for name, value in code.decoded(u).items()}
+    rate = np.where(code.log, np.array(list(values.values())), 1.0)
+    std = dict(zip(values, rate * np.sqrt(np.diag(covariance)), strict=True))
+    kinds = evaluations.history["kind"]
+    return Fit(
+        values=values,
+        std={name: float(value) for name, value in std.items()},
+        covariance=covariance,
+        condition=float(np.linalg.cond(jacobian)),
+        loss=0.5 * float(residuals @ residuals),
+        residuals=residuals,
+        history=evaluations.history,
+        evaluations=int((kinds == "residuals").sum()),
+        gradient_evaluations=int((kinds != "residuals").sum()),
+        success=success,
+        message=message,
+    )

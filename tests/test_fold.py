@@ -1,0 +1,47 @@
+"""A sheet folded in half, pressed and let go."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxcrumple as jc
+from jaxcrumple.scenes.fold import GRIP, TIMES
+
+
+@pytest.fixture(scope="module")
+def kept():
+    """Positions at the end of each part, of sheets that yield early and late."""
+    frames = {}
+    for yields in (40.0, 120.0):
+        setup = jc.fold(150, gap=0.01, sweeps=30, material=jc.Material(yield_curvature=yields))
+        times = [TIMES.close, TIMES.release, TIMES.end]
+        state = jc.initial_state(setup.scene, setup.x)
+        solution = jc.simulate(setup.scene, state, times, solver=jc.integrator(scheme="dynamic"))
+        assert solution.result == "success"
+        frames[yields] = setup.mesh, solution
+    return frames
+
+
+def test_strips_lie_over_one_another_when_it_is_closed(kept):
+    for mesh, solution in kept.values():
+        right = mesh.vertices[:, 0] > (0.5 - GRIP) * 0.1
+        closed, start = solution.x[0][right], mesh.vertices[right]
+        np.testing.assert_allclose(closed, start * [-1.0, 1.0, -1.0], atol=1e-12)
+        assert np.ptp(solution.x[1][:, 2]) < 0.01
+
+
+def test_a_fold_keeps_a_sharper_angle_where_it_yields_early(kept):
+    angles = [float(jc.fold_angle(mesh, jnp.asarray(run.x[-1]))) for mesh, run in kept.values()]
+    assert 0.2 < angles[0] < angles[1] - 0.2
+    assert angles[1] < np.pi - 0.1
+
+
+def test_the_angle_of_a_sharp_fold():
+    mesh = jc.rectangle(0.1, 0.1, 200, sweeps=10)
+    for angle in (0.3, 1.5, 3.0):
+        x = np.array(mesh.vertices)
+        right = x[:, 0] > 0
+        x[right] = x[right] * [np.cos(np.pi - angle), 1.0, 0.0] + np.outer(x[right, 0], [0, 0, np.sin(angle)])
+        assert float(jc.fold_angle(mesh, jnp.asarray(x))) == pytest.approx(angle, abs=1e-9)
+    with pytest.raises(ValueError, match="more than twice the thickness"):
+        jc.fold(100, gap=4e-4)
