@@ -60,8 +60,8 @@ def test_least_squares_finds_the_drag_and_how_well_it_is_known(found):
 
 
 def test_an_optimiser_finds_the_same(found):
-    again = falling(method=optax.adam(0.2), max_steps=60, rtol=1e-5)
-    assert again.values["rate"] == pytest.approx(found.values["rate"], rel=1e-2)
+    again = falling(method=optax.adam(0.2), max_steps=25)
+    assert again.values["rate"] == pytest.approx(found.values["rate"], rel=2e-2)
 
 
 def test_a_fit_goes_on_from_its_file_to_the_same_answer(found, tmp_path):
