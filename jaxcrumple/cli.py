@@ -99,6 +99,59 @@ def run(
         raise typer.Exit(1)
 
 
+calibrations = typer.Typer(help="Find properties of a sheet from what is measured.", no_args_is_help=True)
+app.add_typer(calibrations, name="calibrate")
+
+
+@calibrations.command("fold")
+def calibrate_by_fold(
+    target_angle: Annotated[float, typer.Option(help="Angle in degrees between the halves; 180 is flat.")],
+    nodes: Annotated[int, typer.Option(help="Nodes of the mesh.")] = 1000,
+    seed: Annotated[int, typer.Option(help="Seed of the mesh.")] = 0,
+    std: Annotated[float, typer.Option(help="Standard deviation of the angle in degrees.")] = 1.0,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the result to this file.")] = None,
+    checkpoint: Annotated[Path | None, typer.Option(help="File of all runs, from which to go on.")] = None,
+) -> None:
+    """Find the yield curvature for which a folded sheet keeps an angle."""
+    import json
+    import math
+
+    from jaxcrumple.calibrate import calibrate_fold
+
+    found = calibrate_fold(
+        math.radians(target_angle),
+        nodes=nodes,
+        seed=seed,
+        std=math.radians(std),
+        checkpoint=checkpoint,
+        tell=_tell_evaluation,
+    )
+    result = {
+        "yield_curvature": found.yield_curvature,
+        "std": found.std,
+        "c0": found.c0,
+        "angle_deg": math.degrees(found.angle),
+        "evaluations": found.fit.evaluations,
+        "gradient_evaluations": found.fit.gradient_evaluations,
+    }
+    console.print(
+        f"yield curvature {found.yield_curvature:.4g} +- {found.std:.2g} 1/m, c0 = {found.c0:.4g}; the fold "
+        f"then keeps {result['angle_deg']:.4g} degrees ({found.fit.message})",
+        soft_wrap=True,
+    )
+    if json_file is not None:
+        json_file.write_text(json.dumps(result, indent=2))
+    if not found.fit.success:
+        raise typer.Exit(1)
+
+
+def _tell_evaluation(row) -> None:
+    """A line for each run of a fit."""
+    if row["kind"] == "residuals":
+        value, loss, seconds = row["yield_curvature"], row["loss"], row["seconds"]
+        console.print(f"yield curvature {value:.5g} 1/m: loss {loss:.3g}, {seconds:.0f} s")
+
+
 @app.command()
 def scenes() -> None:
     """List the scenes and their options with defaults."""

@@ -112,6 +112,11 @@ class Evaluations:
             return known
         start = time.perf_counter()
         value = np.asarray(evaluate(np.asarray(u)))
+        if kind != "residuals" and not np.all(np.isfinite(value)):
+            raise ValueError(
+                f"the run at {self.decoded(u)} has no derivatives: a step of its replay finds no solution. "
+                "Choose another start, or a smaller rtol."
+            )
         self._keep(kind, u, value, time.perf_counter() - start)
         if self.path is not None:
             line = {"kind": kind, "names": self.names, "u": list(u), "value": value.tolist()}
