@@ -15,8 +15,6 @@ from scipy.optimize import least_squares
 from jaxcrumple.calibrate.evaluate import Evaluations, Experiment, Values
 from jaxcrumple.solvers.scheme import Integrator
 
-__all__ = ["Experiment", "Fit", "Parameter", "fit"]
-
 
 class Parameter(NamedTuple):
     """A parameter to be found: where to `start`, its bounds, and whether on a logarithmic scale."""

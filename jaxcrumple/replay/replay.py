@@ -106,7 +106,8 @@ def _tangent(scene: Scene, by_scene: Scene, past: Point, by_past: Any, record: R
     def stretch(carry, part: tuple[Steps, Lists | None, Point]):
         moved, frames = carry
         steps, lists, rows = part
-        workspace = _workspace(with_lists(scene, lists, record.near), record)
+        listed = with_lists(scene, lists, record.near)
+        workspace = _workspace(listed, record)
 
         @jax.checkpoint
         def advance(moved: Point, part: tuple[Array, Steps]):
@@ -115,7 +116,7 @@ def _tangent(scene: Scene, by_scene: Scene, past: Point, by_past: Any, record: R
             past, new = jax.tree.map(lambda a: a[1:], seen), newest(seen)
 
             def change() -> Point:
-                return _step_change(scene, by_scene, lists, past, moved, new, step, record, workspace)
+                return _step_change(scene, by_scene, listed, past, moved, new, step, record, workspace)
 
             by_new = jax.lax.cond(step.valid, change, lambda: newest(moved))
             return _pushed(moved, by_new), by_new
@@ -193,7 +194,7 @@ def _step(
 def _step_change(
     scene: Scene,
     by_scene: Scene,
-    lists: Lists | None,
+    listed: Scene,
     past: Point,
     moved: Point,
     new: Point,
@@ -201,9 +202,9 @@ def _step_change(
     record: Record,
     workspace: Factor | None,
 ) -> Point:
-    """What the point `new` after a step changes by."""
+    """What the point `new` after a step changes by; `listed`: the scene with the lists of its stretch."""
     old = newest(past)
-    listed = near_step(with_lists(scene, lists, record.near), old.x, new.x, step.stage == EXPLICIT)
+    listed = near_step(listed, old.x, new.x, step.stage == EXPLICIT)
 
     def here(scene: Scene) -> Scene:
         return as_listed(scene, listed)

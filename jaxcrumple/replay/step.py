@@ -59,9 +59,9 @@ class RecordedStep(NamedTuple):
         mean = Point(x, step.velocity(x), p)
         return jax.tree.map(lambda mean, old: old + (mean - old) / self.formula.theta, mean, old)
 
-    def tangent(self, scene: Scene, past: Point, unknown: Array) -> tuple[Array, Array]:
-        """Residual (n, 3) and the values of its tangent."""
-        return linearize(scene, self._equations(scene, past), unknown)
+    def tangent(self, scene: Scene, past: Point, unknown: Array) -> Array:
+        """Values (size,) of the residual's tangent."""
+        return linearize(scene, self._equations(scene, past), unknown)[1]
 
     def _equations(self, scene: Scene, past: Point) -> Equations:
         return self.formula.equations(scene, past, self.t, self.h)
@@ -98,10 +98,10 @@ def solved(
 
     def body(carry: _Carry) -> _Carry:
         def renewed() -> Factor:
-            return linear.factor(scene.pattern, step.tangent(scene, past, carry.x)[1], carry.factor)
+            return linear.factor(scene.pattern, step.tangent(scene, past, carry.x), carry.factor)
 
         factor = jax.lax.cond(carry.renew, renewed, lambda: carry.factor)
-        values = factor.values if linear.exact else step.tangent(scene, past, carry.x)[1]
+        values = factor.values if linear.exact else step.tangent(scene, past, carry.x)
         value = step.residual(scene, past, carry.x)
         solution = linear.solve(scene.pattern, factor, values, -value.reshape(-1), FORCING)
         update = jnp.max(jnp.abs(solution.x)) / scene.length_scale
@@ -148,7 +148,7 @@ def changed(
     (scene, by_scene), (past, by_past) = scenes, pasts
     listed = here(scene)
     unknown = step.unknown(listed, newest(past).x, new)
-    values = step.tangent(listed, past, unknown)[1]
+    values = step.tangent(listed, past, unknown)
     factor = linear.factor(listed.pattern, values, start)
 
     def residual(scene: Scene, past: Point) -> Array:
