@@ -96,19 +96,53 @@ def test_a_replay_repeats_the_run(run):
     np.testing.assert_allclose(again.p, solution.p, atol=1e-6, rtol=0)
 
 
-def test_derivatives_are_those_of_the_replay(run):
-    """Forward mode equals reverse mode, and both central differences, by every kind of number."""
-    scene, solution = run
-    rng = np.random.default_rng(0)
+def loss_of(solution, **options):
+    """A measure with random weights of all frames, as a function of the scene."""
+    rng = np.random.default_rng(1)
     weights = [jnp.asarray(rng.normal(size=a.shape)) for a in (solution.x, solution.v, solution.p)]
 
     def loss(scene):
-        frames = replay(scene, solution.record)
+        frames = replay(scene, solution.record, **options)
         x, v, p = (jnp.sum(w * a) for w, a in zip(weights, frames[1:4], strict=True))
         return x + 1e-3 * v + 1e-3 * p
 
+    return loss
+
+
+def gradient_of(scene, solution, **options):
+    return eqx.filter_jit(eqx.filter_grad(loss_of(solution, **options)))(scene)
+
+
+@pytest.fixture(scope="module")
+def gradient(run):
+    """Derivatives of the measure by everything in the scene."""
+    return gradient_of(*run)
+
+
+def test_derivatives_of_the_recorded_steps_need_no_solution(run, gradient):
+    """They differ by the error that the run's Newton iteration left."""
+    scene, solution = run
+    frames = replay(scene, solution.record, solve=False)
+    np.testing.assert_allclose(frames.x, solution.x, atol=1e-15, rtol=0)
+    size = np.linalg.norm(solution.v)
+    assert np.linalg.norm(frames.v - solution.v) < 1e-10 * size
+    np.testing.assert_allclose(frames.p, solution.p, atol=1e-8, rtol=0)
+    other = eqx.tree_at(lambda s: s.membrane.stiffness, scene, scene.membrane.stiffness * 1.001)
+    assert np.all(np.isnan(replay(other, solution.record, solve=False).x))
+    taken = gradient_of(scene, solution, solve=False, checkpoint=True)
+    for name, leaf in LEAVES.items():
+        if has(scene, leaf):
+            expected = leaf(gradient)
+            size = float(jnp.max(jnp.abs(expected)))
+            np.testing.assert_allclose(leaf(taken), expected, atol=1e-4 * size, rtol=0, err_msg=name)
+
+
+def test_derivatives_are_those_of_the_replay(run, gradient):
+    """Forward mode equals reverse mode, and both central differences, by every kind of number."""
+    scene, solution = run
+    rng = np.random.default_rng(0)
+    loss = loss_of(solution)
     value = eqx.filter_jit(loss)
-    gradient = eqx.filter_jit(eqx.filter_grad(loss))(scene)
     change = eqx.filter_jit(lambda by: eqx.filter_jvp(loss, (scene,), (by,))[1])
     still = jax.tree.map(lambda a: jnp.zeros_like(a) if eqx.is_inexact_array(a) else None, scene)
     own = {name: leaf for name, leaf in LEAVES.items() if has(scene, leaf)}

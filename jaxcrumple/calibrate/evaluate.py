@@ -104,7 +104,7 @@ class Evaluations:
 
     def _frozen(self, record: Record, u: Array) -> Array:
         scene, state = self.experiment.setup(self.decoded(u))
-        return self.experiment.residuals(replay(scene, record, state))
+        return self.experiment.residuals(replay(scene, record, state, solve=False))
 
     def _once(self, kind: str, u: np.ndarray, evaluate: Callable[[np.ndarray], ArrayLike]) -> np.ndarray:
         known = self.known.get((kind, _key(u)))
@@ -149,8 +149,7 @@ def _key(u: np.ndarray) -> str:
 
 @eqx.filter_jit
 def _jacobian(record: Record, u: Array, residuals: Callable[[Record, Array], Array]) -> Array:
-    _, push = jax.linearize(lambda u: residuals(record, u), u)
-    return jax.lax.map(push, jnp.eye(len(u))).T
+    return jax.jacfwd(lambda u: residuals(record, u))(u)
 
 
 @eqx.filter_jit

@@ -42,11 +42,13 @@ class Steps(eqx.Module):
 class Record(eqx.Module):
     """A run as its accepted steps; `simulate(..., record=True)` makes one for `replay`.
 
-    `start`: the state it began with; `t` (f,) s: times of its frames; `steps`; `lists`, and an empty list of
-    sites `near` with room for those of a step, or None without contact; `linear` and `rho_infinity` as the
-    run's solver has them, and whether it has `inertia`; `stages`: those in which it made steps.
+    `scene` of the run, and the state `start` it began with; `t` (f,) s: times of its frames; `steps`;
+    `lists`, and an empty list of sites `near` with room for those of a step, or None without contact;
+    `linear` and `rho_infinity` as the run's solver has them, and whether it has `inertia`; `stages`: those
+    in which it made steps.
     """
 
+    scene: Scene
     start: State
     t: Array
     steps: Steps
@@ -107,6 +109,7 @@ class Recorder:
             lists = make_lists(scene, start, parts[-1], explicit, solver.one_matrix)
         implicit = solver.implicit
         return Record(
+            scene=scene,
             start=self.start,
             t=jnp.asarray([t for t, _ in self.frames]),
             steps=Steps(jnp.asarray(valid), *map(jnp.asarray, parts)),

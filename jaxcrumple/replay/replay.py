@@ -16,6 +16,9 @@ from jaxcrumple.solvers.bdf import step_formula
 from jaxcrumple.solvers.linear import Factor
 from jaxcrumple.state import EXPLICIT, HISTORY, IMPLICIT, State, check_state
 
+# Relative rounding of the numbers of a scene that is made twice.
+SAME = 1e-9
+
 
 class Replay(NamedTuple):
     """Frames at times `t` (f,) s: positions `x` (f, n, 3) m, velocities `v` (f, n, 3) m/s, rest curvatures
@@ -28,15 +31,30 @@ class Replay(NamedTuple):
     error: Array
 
 
-def replay(scene: Scene, record: Record, start: State | None = None) -> Replay:
+def replay(
+    scene: Scene,
+    record: Record,
+    start: State | None = None,
+    *,
+    solve: bool = True,
+    checkpoint: bool = False,
+) -> Replay:
     """Take the steps of a recorded run again, with the same sizes, orders, stages and lists of contact, in
-    a scene with other numbers or from another `start`, and each to rounding.
+    a scene with other numbers or from another `start`.
 
     A function of every number in `scene` and of the positions, velocities and rest curvatures of `start`,
     with derivatives in both modes. They are those of what is computed with all decisions held fixed: of the
     step sizes, of the instant of a change of stage or of a buckling there is no derivative. All is NaN where
     a step finds no solution, or the sheet is further than a quarter of a contact range from where it was
-    recorded.
+    recorded, or without `solve` the scene is another one.
+
+    **Arguments:**
+
+    - `solve`: whether steps are solved again, each to rounding. Without, `scene` and `start` must be those
+      of the run: positions are the recorded ones, and derivatives are had for less, also where errors grow
+      so fast that the run cannot be repeated.
+    - `checkpoint`: derivatives keep positions (n, 3) alone for each step, and a state for each stretch of
+      64, from which velocities and rest curvatures are computed anew.
 
     **Raises:** ValueError for a state of another scene.
     """
@@ -45,57 +63,118 @@ def replay(scene: Scene, record: Record, start: State | None = None) -> Replay:
     here = Point(start.x, start.v, start.p)
     before = Point(start.history.x, start.history.v, start.history.p)
     past = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b[1:]]), here, before)
-    frames, error = _frames(scene, past, record)
+    frames, error = _frames(scene, past, record, _Way(solve, checkpoint))
+    if not solve:
+        error = jnp.where(_differ((scene, here), record), jnp.inf, error)
     frames = jax.tree.map(lambda a: jnp.where(jnp.isfinite(error), a, jnp.nan), frames)
     return Replay(record.t, frames.x, frames.v, frames.p, error)
 
 
+def _differ(run: tuple[Scene, Point], record: Record) -> Array:
+    """Whether a scene and where it starts have other numbers than the recorded ones."""
+    scene, here = run
+    start = record.start
+    recorded = record.scene, Point(start.x, start.v, start.p)
+    pairs = zip(*map(_numbers, ((as_listed(scene, record.scene), here), recorded)), strict=True)
+    differ = [
+        jnp.max(jnp.abs(a - b), initial=0.0) > SAME * jnp.max(jnp.abs(b), initial=0.0) for a, b in pairs
+    ]
+    return jnp.any(jnp.stack(differ))
+
+
+def _numbers(tree: Any) -> list[Array]:
+    numbers = jax.tree.leaves(eqx.filter(tree, eqx.is_inexact_array))
+    return [jax.lax.stop_gradient(a) for a in numbers]
+
+
+class _Way(NamedTuple):
+    """Whether steps are solved, and whether derivatives keep less of them."""
+
+    solve: bool
+    checkpoint: bool
+
+
 @eqx.filter_custom_jvp
-def _frames(scene: Scene, past: Point, record: Record) -> tuple[Point, Array]:
-    _, frames, error = _forward(scene, past, record)
+def _frames(scene: Scene, past: Point, record: Record, way: _Way) -> tuple[Point, Array]:
+    _, frames, error = _forward(scene, past, record, way)
     return frames, error
 
 
 @_frames.def_jvp
 def _frames_jvp(primals, tangents):
-    scene, past, record = primals
-    by_scene, by_past, _ = tangents
-    rows, frames, error = _forward(scene, past, record)
-    moved = _tangent(scene, by_scene, past, by_past, record, rows)
+    scene, past, record, way = primals
+    by_scene, by_past, _, _ = tangents
+    kept, frames, error = _forward(scene, past, record, way)
+    moved = _tangent(scene, by_scene, past, by_past, record, kept)
     return (frames, error), (moved, jnp.zeros_like(error))
 
 
-def _forward(scene: Scene, past: Point, record: Record) -> tuple[Point, Point, Array]:
-    """Points of each stretch (g, 6 + s, ...), oldest first, the frames, and the largest error."""
+class _Kept(NamedTuple):
+    """What derivatives need of the points of each stretch: `rows` (g, 6 + s, ...) of them, oldest first; or
+    the `past` ones alone (g, 6, ...), newest first, and positions `x` (g, s, n, 3)."""
+
+    rows: Point | None
+    past: Point | None
+    x: Array | None
+
+
+def _forward(scene: Scene, past: Point, record: Record, way: _Way) -> tuple[_Kept, Point, Array]:
+    """Points of each stretch, the frames, and the largest error."""
 
     def stretch(carry, part: tuple[Steps, Lists | None]):
         past, frames, error = carry
         steps, lists = part
         here = with_lists(scene, lists, record.near)
-
-        def advance(carry, step: Steps):
-            past, error, factor = carry
-            new, left, factor = jax.lax.cond(
-                step.valid,
-                lambda: _step(here, past, step, record, factor),
-                lambda: (newest(past), jnp.zeros(()), factor),
-            )
-            return (_pushed(past, new), jnp.maximum(error, left), factor), new
-
-        carry = past, error, _workspace(here, record)
-        (last, error, _), points = jax.lax.scan(advance, carry, steps)
-        rows = jax.tree.map(lambda old, new: jnp.concatenate([old[::-1], new]), past, points)
+        if way.solve:
+            points, left = _solved(here, past, steps, record)
+        else:
+            points, left = _taken(here, past, steps, steps.x, record), jnp.zeros(())
+        rows = _rows(past, points)
         count = jnp.sum(steps.valid)
         last = jax.tree.map(lambda a: jax.lax.dynamic_slice_in_dim(a, count, HISTORY)[::-1], rows)
-        return (last, _filled(frames, steps, points), error), rows
+        kept = _Kept(None, past, points.x) if way.checkpoint else _Kept(rows, None, None)
+        return (last, _filled(frames, steps, points), jnp.maximum(error, left)), kept
 
     frames = _first_frames(newest(past), record)
     carry = (past, frames, jnp.zeros(()))
-    (_, frames, error), rows = jax.lax.scan(stretch, carry, (record.steps, record.lists))
-    return rows, frames, error
+    (_, frames, error), kept = jax.lax.scan(stretch, carry, (record.steps, record.lists))
+    return kept, frames, error
 
 
-def _tangent(scene: Scene, by_scene: Scene, past: Point, by_past: Any, record: Record, rows: Point) -> Point:
+def _solved(scene: Scene, past: Point, steps: Steps, record: Record) -> tuple[Point, Array]:
+    """The points (s, ...) that the steps of a stretch end with, each solved, and the largest error."""
+
+    def advance(carry, step: Steps):
+        past, error, factor = carry
+        new, left, factor = jax.lax.cond(
+            step.valid,
+            lambda: _step(scene, past, step, record, factor),
+            lambda: (newest(past), jnp.zeros(()), factor),
+        )
+        return (_pushed(past, new), jnp.maximum(error, left), factor), new
+
+    carry = past, jnp.zeros(()), _workspace(scene, record)
+    (_, error, _), points = jax.lax.scan(advance, carry, steps)
+    return points, error
+
+
+def _taken(scene: Scene, past: Point, steps: Steps, x: Array, record: Record) -> Point:
+    """The points (s, ...) that the steps of a stretch end with, whose positions are `x` (s, n, 3)."""
+
+    def advance(past: Point, part: tuple[Steps, Array]):
+        step, x = part
+        new = jax.lax.cond(step.valid, lambda: _point(scene, past, step, x, record), lambda: newest(past))
+        return _pushed(past, new), new
+
+    return jax.lax.scan(advance, past, (steps, x))[1]
+
+
+def _rows(past: Point, points: Point) -> Point:
+    """The `past` points (6, ...), newest first, and the `points` (s, ...) after them, oldest first."""
+    return jax.tree.map(lambda old, new: jnp.concatenate([old[::-1], new]), past, points)
+
+
+def _tangent(scene: Scene, by_scene: Scene, past: Point, by_past: Any, record: Record, kept: _Kept) -> Point:
     """What the frames change by, linear in the changes `by_scene` and `by_past`."""
     filled = jax.tree.map(lambda a: jnp.zeros_like(a), past)
     moved = jax.tree.map(
@@ -103,11 +182,14 @@ def _tangent(scene: Scene, by_scene: Scene, past: Point, by_past: Any, record: R
     )
 
     @jax.checkpoint
-    def stretch(carry, part: tuple[Steps, Lists | None, Point]):
+    def stretch(carry, part: tuple[Steps, Lists | None, _Kept]):
         moved, frames = carry
-        steps, lists, rows = part
+        steps, lists, kept = part
         listed = with_lists(scene, lists, record.near)
-        workspace = _workspace(listed, record)
+        workspace, rows = _workspace(listed, record), kept.rows
+        if rows is None:
+            assert kept.past is not None and kept.x is not None
+            rows = _rows(kept.past, _taken(listed, kept.past, steps, kept.x, record))
 
         @jax.checkpoint
         def advance(moved: Point, part: tuple[Array, Steps]):
@@ -126,7 +208,7 @@ def _tangent(scene: Scene, by_scene: Scene, past: Point, by_past: Any, record: R
         return (last, _filled(frames, steps, points)), None
 
     frames = _first_frames(newest(moved), record)
-    (_, frames), _ = jax.lax.scan(stretch, (moved, frames), (record.steps, record.lists, rows))
+    (_, frames), _ = jax.lax.scan(stretch, (moved, frames), (record.steps, record.lists, kept))
     return frames
 
 
@@ -187,6 +269,21 @@ def _step(
         point = Point(*explicit.advance(scene, step.t, step.h, *old))
         finite = jnp.isfinite(jnp.sum(point.x)) & jnp.isfinite(jnp.sum(point.v))
         return point, jnp.where(finite, 0.0, jnp.inf), factor
+
+    return _by_stage(step, record, implicit, explicit_step)
+
+
+def _point(scene: Scene, past: Point, step: Steps, x: Array, record: Record) -> Point:
+    """The point after a step that ends at positions `x` (n, 3)."""
+    old = newest(past)
+
+    def implicit() -> Point:
+        equations = _implicit(step, record)
+        return equations.point(scene, past, equations.unknown(scene, old.x, x))
+
+    def explicit_step() -> Point:
+        near = near_step(scene, old.x, x, True)
+        return Point(*explicit.advance(near, step.t, step.h, *old))._replace(x=x)
 
     return _by_stage(step, record, implicit, explicit_step)
 

@@ -13,7 +13,7 @@ from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.bdf import Formula
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
 from jaxcrumple.solvers.newton import FORCING
-from jaxcrumple.solvers.solve import solve_factored
+from jaxcrumple.solvers.solve import solve_once
 from jaxcrumple.state import ImplicitStep as Equations
 from jaxcrumple.system import linearize, residual, rest_curvature
 
@@ -149,13 +149,12 @@ def changed(
     listed = here(scene)
     unknown = step.unknown(listed, newest(past).x, new)
     values = step.tangent(listed, past, unknown)
-    factor = linear.factor(listed.pattern, values, start)
 
     def residual(scene: Scene, past: Point) -> Array:
         return step.residual(here(scene), past, unknown)
 
     force = eqx.filter_jvp(residual, (scene, past), (by_scene, by_past))[1]
-    moved = solve_factored(linear, listed.pattern, factor, values, -force.reshape(-1), LINEAR)
+    moved = solve_once(linear, listed.pattern, start, values, -force.reshape(-1), LINEAR)
     changes = (by_scene, by_past, moved.reshape(unknown.shape))
 
     def point(scene: Scene, past: Point, unknown: Array) -> Point:

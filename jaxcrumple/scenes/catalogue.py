@@ -87,7 +87,7 @@ class FoldOptions(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     size: float = Field(0.1, gt=0)
-    gap: float = Field(6e-3, gt=0)
+    gap: float | None = Field(None, gt=0)
     close: float = Field(TIMES.close, gt=0)
     press: float = Field(TIMES.press, gt=0)
     hold: float = Field(TIMES.hold, gt=0)

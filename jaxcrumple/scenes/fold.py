@@ -1,5 +1,6 @@
 """A square sheet that is folded in half, pressed, let go, and springs open to its final angle (Fig. 3b)."""
 
+import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -20,6 +21,9 @@ from jaxcrumple.scenes.snap import check_positive
 
 # Strips along two edges that are held, as a share of the sheet's size.
 GRIP = 0.08
+# The gap between the plates in m, and the least one in mean distances between nodes of a coarse mesh, which
+# snaps from one zigzag of edges to the next where it is bent to a sharper crease.
+GAP, COARSEST = 6e-3, 1.25
 # Height of the upper plate when the sheet is closed, and after the release, as a share of the size.
 OPEN = 0.6
 # Time in which plates move away in s.
@@ -85,7 +89,7 @@ def fold(
     seed: int = 0,
     *,
     size: float = 0.1,
-    gap: float = 6e-3,
+    gap: float | None = None,
     close: float = TIMES.close,
     press: float = TIMES.press,
     hold: float = TIMES.hold,
@@ -93,7 +97,7 @@ def fold(
     sweeps: int = 100,
     material: Material | None = None,
 ) -> Setup:
-    """A square sheet of edge `size` whose halves are brought together, pressed between plates `gap` apart,
+    """A square sheet of edge `size` whose halves are brought together, pressed between plates a `gap` apart,
     held, and let go.
 
     Strips along two opposite edges are held: one rests, the other turns about the middle line until it lies
@@ -101,13 +105,17 @@ def fold(
     the loop between them to a crease. After the time `hold` strips and plates let go, and the sheet springs
     open; drag brings it to rest within the time `relax`. `fold_angle` measures what is left.
 
-    **Arguments:** `nodes` of the random mesh made with `seed` and `sweeps` Lloyd sweeps; `size`, `gap` in m;
-    `close`, `press`, `hold`, `relax` in s; `material`: default `Material()`.
+    **Arguments:** `nodes` of the random mesh made with `seed` and `sweeps` Lloyd sweeps; `size` in m; `gap`
+    in m, by default 6 mm, or 5/4 of the distance between nodes of a mesh that is too coarse for it; `close`,
+    `press`, `hold`, `relax` in s; `material`: default `Material()`.
 
     **Raises:** ValueError for lengths or times that are not positive, or a gap that the sheet fills.
     """
     times = FoldTimes(close, press, hold, relax)
-    check_positive(size=size, gap=gap, **times._asdict())
+    check_positive(size=size, **times._asdict())
+    if gap is None:
+        gap = max(GAP, COARSEST * size * math.sqrt(2.0 / (math.sqrt(3.0) * nodes)))
+    check_positive(gap=gap)
     material = material or Material()
     thickness = float(np.mean(material.thickness))
     lift = 0.5 * gap - thickness

@@ -1,5 +1,6 @@
 """Sparse direct solver: $L D L^T$ by oneMKL PARDISO inside jit, with the inertia of the matrix."""
 
+from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -28,7 +29,8 @@ class Direct(AbstractLinearSolver):
     raises out of the program, and the number of negative eigenvalues it reports is an exact test of
     the equilibrium's stability. A factor that fell out of the library's cache is rebuilt silently.
 
-    It cannot be batched by `vmap`: a factor lives outside the arrays. Use `TwoLevel` there.
+    Many right-hand sides may be batched by `vmap`, and are solved at once; matrices cannot, for a factor
+    lives outside the arrays. Use `TwoLevel` there.
 
     **Arguments:** `max_iterations`: conjugate gradient iterations with a factor of other values.
     """
@@ -81,6 +83,22 @@ class Direct(AbstractLinearSolver):
             x = x + _substitute(pattern, factor, rhs - pattern.product(factor.values, x))
         return x
 
+    def solve_once(
+        self, pattern: Pattern, start: Factor, values: Array, rhs: Array, rtol: Array | float
+    ) -> Array:
+        """Factor and solution in one call, refined to rounding, with the analysis of `start`."""
+        from pardiso_mkl_jax import primitive
+
+        values = _unbatched(values)
+        safe = jnp.where(jnp.all(jnp.isfinite(values)), values, identity_values(pattern))
+        return _batched(
+            primitive.factor_and_solve_stateful,
+            start.workspace.token,
+            *_matrix(pattern, safe),
+            rhs,
+            refinements=REFINEMENTS,
+        )
+
     def release(self, factor: Factor, after: Array) -> None:
         """Free the factor; the library would keep those of the last calls."""
         from pardiso_mkl_jax import primitive
@@ -93,14 +111,30 @@ def _substitute(pattern: Pattern, factor: Factor, rhs: Array) -> Array:
     from pardiso_mkl_jax import primitive
 
     token, matrix = factor.workspace
-    x, _, _ = primitive.solve_stateful(
-        token,
-        *_structure(pattern),
-        matrix,
-        _unbatched(rhs)[None],
-        **_mode(),
-    )
-    return x[0]
+    return _batched(primitive.solve_stateful, token, *_structure(pattern), matrix, rhs)
+
+
+def _batched(
+    routine: Callable, token: Any, indptr: Array, indices: Array, matrix: Array, rhs: Array, **options
+) -> Array:
+    """What a routine of the library finds for one right-hand side, or under `vmap` for many at once."""
+
+    def found(token: Any, indptr: Array, indices: Array, matrix: Array, rhs: Array) -> Array:
+        return routine(token, indptr, indices, matrix, _unbatched(rhs), **_mode(**options))[0]
+
+    @jax.custom_batching.custom_vmap
+    def one(token: Any, indptr: Array, indices: Array, matrix: Array, rhs: Array) -> Array:
+        return found(token, indptr, indices, matrix, rhs[None])[0]
+
+    @one.def_vmap
+    def many(
+        axis_size: int, in_batched, token: Any, indptr: Array, indices: Array, matrix: Array, rhs: Array
+    ):
+        if any(jax.tree.leaves(in_batched[:-1])):
+            _refuse(axis_size, in_batched, rhs)
+        return found(token, indptr, indices, matrix, rhs), True
+
+    return one(token, indptr, indices, matrix, rhs)
 
 
 def _structure(pattern: Pattern) -> tuple[Array, Array]:
@@ -138,7 +172,7 @@ def _refuse(axis_size: int, in_batched, array: Array):
     )
 
 
-def _mode() -> dict[str, Any]:
+def _mode(refinements: int = 0) -> dict[str, Any]:
     """Kind of matrix and options of all calls.
 
     Pivots are single numbers, which the matrices of a stable sheet need no more than; and what refinement a
@@ -146,5 +180,5 @@ def _mode() -> dict[str, Any]:
     """
     from pardiso_mkl_jax import MatrixType, PardisoOption
 
-    options = {PardisoOption.PIVOTING_STRATEGY: 0, PardisoOption.MAX_ITERATIVE_REFINEMENT_STEPS: 0}
+    options = {PardisoOption.PIVOTING_STRATEGY: 0, PardisoOption.MAX_ITERATIVE_REFINEMENT_STEPS: refinements}
     return {"matrix_type": MatrixType.REAL_SYMMETRIC_INDEFINITE, "options": options}

@@ -57,6 +57,12 @@ class AbstractLinearSolver(eqx.Module):
         """Solution (3n,) for the factor's own values, to `rtol` at least."""
         return self.solve(pattern, factor, factor.values, rhs, rtol).x
 
+    def solve_once(
+        self, pattern: Pattern, start: Factor, values: Array, rhs: Array, rtol: Array | float
+    ) -> Array:
+        """Solution (3n,) for `values` that are prepared for it alone; `start` stays as it is."""
+        return self.solve_factored(pattern, self.factor(pattern, values, start), rhs, rtol)
+
     def release(self, factor: Factor, after: Array) -> None:
         """Give back what the factor holds outside the arrays, once `after` is known."""
 

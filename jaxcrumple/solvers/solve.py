@@ -1,5 +1,7 @@
 """`linear_solve`: any of the linear solvers as a differentiable function."""
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 from jax import Array
@@ -35,18 +37,33 @@ def linear_solve(
             f"values {values.shape} and rhs {rhs.shape} do not fit the pattern: ({pattern.size},) and {size}."
         )
     factor = solver.factor(pattern, jax.lax.stop_gradient(values), solver.start(pattern))
-    return solve_factored(solver, pattern, factor, values, rhs, rtol)
+
+    def solve(b: Array) -> Array:
+        return solver.solve_factored(pattern, factor, b, rtol)
+
+    return _solved(solve, pattern, values, rhs, rtol)
 
 
-def solve_factored(
-    solver: AbstractLinearSolver, pattern: Pattern, factor: Factor, values: Array, rhs: Array, rtol: float
+def solve_once(
+    solver: AbstractLinearSolver, pattern: Pattern, start: Factor, values: Array, rhs: Array, rtol: float
 ) -> Array:
-    """The same with a `factor` of these `values`."""
+    """The same where no other system has these `values`; `start` may serve many such solutions."""
 
-    def solve(_, b: Array) -> Array:
-        x = solver.solve_factored(pattern, factor, b, rtol)
-        left = jnp.linalg.norm(b - pattern.product(factor.values, x))
-        rounding = jnp.finfo(b.dtype).eps * jnp.max(jnp.abs(factor.values)) * jnp.linalg.norm(x)
+    def solve(b: Array) -> Array:
+        return solver.solve_once(pattern, start, jax.lax.stop_gradient(values), b, rtol)
+
+    return _solved(solve, pattern, values, rhs, rtol)
+
+
+def _solved(
+    solve: Callable[[Array], Array], pattern: Pattern, values: Array, rhs: Array, rtol: float
+) -> Array:
+    """What `solve` finds, differentiable; NaN where the residual is not what was asked for."""
+
+    def checked(_, b: Array) -> Array:
+        x, own = solve(b), jax.lax.stop_gradient(values)
+        left = jnp.linalg.norm(b - pattern.product(own, x))
+        rounding = jnp.finfo(b.dtype).eps * jnp.max(jnp.abs(own)) * jnp.linalg.norm(x)
         return jnp.where(left <= SLACK * (rtol * jnp.linalg.norm(b) + rounding), x, jnp.nan)
 
-    return jax.lax.custom_linear_solve(lambda x: pattern.product(values, x), rhs, solve, symmetric=True)
+    return jax.lax.custom_linear_solve(lambda x: pattern.product(values, x), rhs, checked, symmetric=True)
