@@ -130,6 +130,7 @@ def calibrate_by_fold(
         "yield_curvature": found.yield_curvature,
         "std": found.std,
         "c0": found.c0,
+        "c0_std": found.c0_std,
         "angle_deg": math.degrees(found.angle),
         "evaluations": found.fit.evaluations,
         "gradient_evaluations": found.fit.gradient_evaluations,
@@ -141,13 +142,13 @@ def calibrate_by_fold(
     )
     if json_file is not None:
         json_file.write_text(json.dumps(result, indent=2))
-    if not found.fit.success:
-        raise typer.Exit(1)
+    if not found.success:
+        raise ValueError(f"no yield curvature was found for which the fold keeps {target_angle:g} degrees.")
 
 
 def _tell_evaluation(row) -> None:
-    """A line for each run of a fit."""
-    if row["kind"] == "residuals":
+    """A line for each run of a fit that is not known already."""
+    if row["kind"] == "residuals" and row["seconds"] > 0.0:
         value, loss, seconds = row["yield_curvature"], row["loss"], row["seconds"]
         console.print(f"yield curvature {value:.5g} 1/m: loss {loss:.3g}, {seconds:.0f} s")
 

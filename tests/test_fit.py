@@ -64,6 +64,20 @@ def test_an_optimiser_finds_the_same(found):
     assert again.values["rate"] == pytest.approx(found.values["rate"], rel=2e-2)
 
 
+def test_a_bracket_finds_a_root_without_derivatives():
+    """The drag for which the sheet has fallen so far at the end, from far above it."""
+    end = height(RATE)[-1]
+    run = Experiment(setup, TIMES, lambda frames: (jnp.mean(frames.x[-1:, :, 2], axis=1) - end) / NOISE)
+    solver = jc.integrator(1e-6, scheme="dynamic")
+    found = fit(run, {"rate": Parameter(400.0, 20.0, 2000.0)}, method="root", solver=solver, rtol=1e-6)
+    assert found.success
+    assert found.values["rate"] == pytest.approx(RATE, rel=1e-3)
+    assert abs(found.residuals[0]) < 0.1
+    assert found.gradient_evaluations <= 2
+    with pytest.raises(ValueError, match="one parameter from one residual"):
+        falling(method="root")
+
+
 def test_a_fit_goes_on_from_its_file_to_the_same_answer(found, tmp_path):
     """Cut in the midst of a line."""
     path, told = tmp_path / "fit.jsonl", []

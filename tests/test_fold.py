@@ -1,10 +1,14 @@
 """A sheet folded in half, pressed and let go."""
 
+import json
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import jaxcrumple as jc
+from jaxcrumple.cli import app
 from jaxcrumple.scenes.fold import GRIP, TIMES
 
 
@@ -45,3 +49,24 @@ def test_the_angle_of_a_sharp_fold():
         assert float(jc.fold_angle(mesh, jnp.asarray(x))) == pytest.approx(angle, abs=1e-9)
     with pytest.raises(ValueError, match="more than twice the thickness"):
         jc.fold(100, gap=4e-4)
+
+
+def test_the_command_finds_the_yield_curvature_of_a_fold(tmp_path):
+    """That of a run which kept that angle, in few derivatives; and says how well it is known."""
+    true, nodes, path = 28.0, 60, tmp_path / "found.json"
+    setup = jc.fold(nodes, material=jc.Material(yield_curvature=true))
+    state = jc.initial_state(setup.scene, setup.x)
+    times = [TIMES.release, TIMES.end]
+    solution = jc.simulate(setup.scene, state, times, solver=jc.integrator(1e-3, scheme="dynamic"))
+    angle = np.rad2deg(float(jc.fold_angle(setup.mesh, jnp.asarray(solution.x[-1]))))
+    options = ["--nodes", str(nodes), "--std", "0.5", "--json", str(path)]
+    answer = CliRunner().invoke(app, ["calibrate", "fold", "--target-angle", str(angle), *options])
+    assert answer.exit_code == 0, answer.output
+    found = json.loads(path.read_text())
+    assert found["yield_curvature"] == pytest.approx(true, rel=1e-2)
+    assert found["angle_deg"] == pytest.approx(angle, abs=0.05)
+    c0 = jc.Material(yield_curvature=true).discretize(setup.mesh).c0
+    assert found["c0"] == pytest.approx(np.mean(c0), rel=1e-2)
+    assert found["c0_std"] / found["c0"] == pytest.approx(found["std"] / found["yield_curvature"])
+    assert 0.1 < found["std"] < 1.0
+    assert found["gradient_evaluations"] <= 6

@@ -10,10 +10,13 @@ import numpy as np
 import optax
 import pandas as pd
 from jax import Array
-from scipy.optimize import least_squares
+from scipy.optimize import brentq, least_squares
 
 from jaxcrumple.calibrate.evaluate import Evaluations, Experiment, Values
 from jaxcrumple.solvers.scheme import Integrator
+
+# Steps by which a bracket is sought, as factors of the parameter.
+GROWTH = 1.5
 
 
 class Parameter(NamedTuple):
@@ -52,7 +55,7 @@ def fit(
     experiment: Experiment,
     parameters: Mapping[str, Parameter],
     *,
-    method: Literal["least-squares"] | optax.GradientTransformation = "least-squares",
+    method: Literal["least-squares", "root"] | optax.GradientTransformation = "least-squares",
     solver: Integrator | None = None,
     max_steps: int = 30,
     rtol: float = 1e-4,
@@ -68,10 +71,11 @@ def fit(
 
     - `experiment`: what is run, and how its frames are compared with what was measured.
     - `parameters`: those to be found, by name.
-    - `method`: "least-squares", the trust-region method of SciPy with derivatives in forward mode; or an
-      optimiser of Optax, with gradients in reverse mode and clipped to the bounds.
+    - `method`: "least-squares", the trust-region method of SciPy with derivatives in forward mode; an
+      optimiser of Optax, with gradients in reverse mode and clipped to the bounds; or "root", Brent's method
+      without derivatives for one residual of one parameter, which gets past jumps.
     - `solver`: of the runs, by default `integrator()`.
-    - `max_steps`: runs of "least-squares", or steps of an optimiser, at most.
+    - `max_steps`: runs, or steps of an optimiser, at most.
     - `rtol`: relative change of loss or parameters at which it ends.
     - `scaled`: whether the uncertainty is scaled so that the residuals have the standard deviation 1;
       otherwise they are taken to have it.
@@ -95,10 +99,14 @@ def fit(
         raise ValueError(f"the residuals do not depend on {idle[0]} at the start: choose another start.")
     if method == "least-squares":
         u, success, message = _least_squares(evaluations, code, max_steps, rtol)
+    elif method == "root":
+        if len(names) != 1 or len(first) != 1:
+            raise ValueError(f"'root' finds one parameter from one residual, not {len(names)}, {len(first)}.")
+        u, success, message = _root(evaluations, code, max_steps, rtol)
     elif isinstance(method, optax.GradientTransformation):
         u, success, message = _descent(evaluations, code, method, max_steps, rtol)
     else:
-        raise ValueError(f"method = {method!r} must be 'least-squares' or an optimiser of Optax.")
+        raise ValueError(f"method = {method!r} must be 'least-squares', 'root' or an optimiser of Optax.")
     return _result(evaluations, code, u, scaled, success, message)
 
 
@@ -136,6 +144,27 @@ def _least_squares(evaluations: Evaluations, code: _Code, max_steps: int, rtol: 
         gtol=None,
     )
     return found.x, bool(found.success), found.message
+
+
+def _root(evaluations: Evaluations, code: _Code, max_steps: int, rtol: float):
+    """Steps of GROWTH from the start the way that the residual falls, until it changes its sign; then
+    Brent's method."""
+
+    def residual(u: float) -> float:
+        return float(evaluations.residuals(np.array([u]))[0])
+
+    (start,), (lower,), (upper,) = code.start, code.lower, code.upper
+    falls = -np.sign(residual(start)) * np.sign(evaluations.jacobian(code.start)[0, 0])
+    step = np.log(GROWTH) if code.log[0] else (GROWTH - 1.0) * max(abs(start), rtol)
+    near, far = start, start
+    for _ in range(max_steps):
+        near, far = far, float(np.clip(far + falls * step, lower, upper))
+        if near == far:
+            return np.array([near]), False, "the residual does not change its sign within the bounds."
+        if residual(near) * residual(far) <= 0.0:
+            u, told = brentq(residual, near, far, xtol=rtol, maxiter=max_steps, full_output=True, disp=False)
+            return np.array([u]), bool(told.converged), f"bracketed to {rtol:g}."
+    return np.array([far]), False, "the steps are used up."
 
 
 def _descent(evaluations: Evaluations, code: _Code, method: optax.GradientTransformation, steps: int, rtol):

@@ -1,5 +1,6 @@
 """The yield curvature of a sheet from the angle that a fold keeps (Fig. 3b)."""
 
+import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -11,22 +12,30 @@ import numpy as np
 from jaxcrumple.calibrate.evaluate import Experiment
 from jaxcrumple.calibrate.fit import Fit, Parameter, fit
 from jaxcrumple.material import Material
-from jaxcrumple.scenes.fold import TIMES, fold, fold_angle
+from jaxcrumple.scenes.fold import TIMES, default_gap, fold, fold_angle
 from jaxcrumple.solvers.scheme import Integrator, integrator
 from jaxcrumple.state import initial_state
 
-# The yield curvature to start from, and its bounds, in 1/m.
-YIELD = Parameter(100.0, 1.0, 2000.0)
+YIELD = "yield_curvature"
+# The yield curvature to start from, times the gap: the fold then keeps about 100 degrees. And its bounds in
+# 1/m.
+START, BOUNDS = 0.67, (1.0, 5000.0)
+# Deviation in standard deviations from which a fit is taken to have stopped at a jump of the angle, and the
+# relative width to which the root there is bracketed.
+MISSED, WIDTH = 0.1, 1e-5
 
 
 class FoldCalibration(NamedTuple):
-    """What a fold tells: `yield_curvature` in 1/m and its standard deviation `std`, the mean dimensionless
-    yield curvature `c0` of the mesh's hinges, the `angle` in rad that the fold then keeps, and the `fit`."""
+    """What a fold tells: `yield_curvature` in 1/m and its standard deviation `std`; the mean dimensionless
+    yield curvature `c0` of the mesh's hinges and its `c0_std`; the `angle` in rad that the fold then keeps,
+    whether it is the one asked for, `success`, and the `fit`."""
 
     yield_curvature: float
     std: float
     c0: float
+    c0_std: float
     angle: float
+    success: bool
     fit: Fit
 
 
@@ -36,7 +45,7 @@ def calibrate_fold(
     nodes: int = 1000,
     seed: int = 0,
     std: float = np.deg2rad(1.0),
-    start: Parameter = YIELD,
+    start: Parameter | None = None,
     material: Material | None = None,
     solver: Integrator | None = None,
     checkpoint: str | Path | None = None,
@@ -44,9 +53,12 @@ def calibrate_fold(
 ) -> FoldCalibration:
     """The yield curvature for which the scene `fold` keeps an `angle` in rad between its halves.
 
+    By least squares; and where the angle jumps, since the fold snaps to another shape, by a bracket.
+
     **Arguments:** `angle` and its standard deviation `std` in rad; `nodes`, `seed` of the mesh; `start`: the
-    yield curvature to start from and its bounds, in 1/m; `material`: all but the yield point, by default
-    `Material()`; `solver`: by default `integrator(scheme="dynamic")`; `checkpoint`, `tell` as in `fit`.
+    yield curvature to start from and its bounds, in 1/m, by default what leaves some 100 degrees;
+    `material`: all but the yield point, by default `Material()`; `solver`: by default
+    `integrator(scheme="dynamic")`; `checkpoint`, `tell` as in `fit`.
 
     **Raises:** ValueError for an angle outside (0, pi), or as `fit` does.
     """
@@ -54,34 +66,34 @@ def calibrate_fold(
         raise ValueError(f"angle = {angle!r} rad must lie between 0 and pi; 180 degrees are a flat sheet.")
     if not (np.isfinite(std) and std > 0):
         raise ValueError(f"std = {std!r} rad must be a positive angle.")
+    gap = default_gap(nodes)
+    start = start or Parameter(START / gap, *BOUNDS)
     own = replace(material or Material(), yield_c0=None, yield_curvature=start.start)
-    setup = fold(nodes, seed, material=own)
+    setup = fold(nodes, seed, gap=gap, material=own)
 
     def run(values):
-        scene = setup.made_of(replace(own, yield_curvature=values["yield_curvature"]))
+        scene = setup.made_of(replace(own, yield_curvature=values[YIELD]))
         return scene, initial_state(scene, setup.x)
 
     def residuals(frames):
         return jnp.atleast_1d((fold_angle(setup.mesh, frames.x[-1]) - angle) / std)
 
-    # Nothing in it is so fast that explicit steps would pay.
-    solver = solver or integrator(scheme="dynamic")
     experiment = Experiment(run, [TIMES.release, TIMES.end], residuals)
-    found = fit(
-        experiment,
-        {"yield_curvature": start},
-        solver=solver,
-        scaled=False,
-        checkpoint=checkpoint,
-        tell=tell,
-    )
-    value = found.values["yield_curvature"]
+    with tempfile.TemporaryDirectory() as folder:
+        # Nothing in it is so fast that explicit steps would pay.
+        options: dict[str, Any] = {
+            "solver": solver or integrator(scheme="dynamic"),
+            "scaled": False,
+            "checkpoint": checkpoint or Path(folder) / "fit.jsonl",
+            "tell": tell,
+        }
+        found = fit(experiment, {YIELD: start}, **options)
+        if abs(found.residuals[0]) > MISSED:
+            found = fit(experiment, {YIELD: start}, method="root", rtol=WIDTH, **options)
+    value, deviation = found.values[YIELD], found.std[YIELD]
     c0 = replace(own, yield_curvature=value).discretize(setup.mesh).c0
     assert c0 is not None
+    mean, off = float(np.mean(c0)), float(found.residuals[0])
     return FoldCalibration(
-        value,
-        found.std["yield_curvature"],
-        float(np.mean(c0)),
-        angle + std * float(found.residuals[0]),
-        found,
+        value, deviation, mean, mean * deviation / value, angle + std * off, abs(off) <= 1.0, found
     )

@@ -21,9 +21,11 @@ from jaxcrumple.scenes.snap import check_positive
 
 # Strips along two edges that are held, as a share of the sheet's size.
 GRIP = 0.08
+# Edge of the sheet in m.
+SIZE = 0.1
 # The gap between the plates in m, and the least one in mean distances between nodes of a coarse mesh, which
 # snaps from one zigzag of edges to the next where it is bent to a sharper crease.
-GAP, COARSEST = 6e-3, 1.25
+GAP, COARSEST = 6e-3, 2.0
 # Height of the upper plate when the sheet is closed, and after the release, as a share of the size.
 OPEN = 0.6
 # Time in which plates move away in s.
@@ -88,7 +90,7 @@ def fold(
     nodes: int = 1000,
     seed: int = 0,
     *,
-    size: float = 0.1,
+    size: float = SIZE,
     gap: float | None = None,
     close: float = TIMES.close,
     press: float = TIMES.press,
@@ -106,15 +108,14 @@ def fold(
     open; drag brings it to rest within the time `relax`. `fold_angle` measures what is left.
 
     **Arguments:** `nodes` of the random mesh made with `seed` and `sweeps` Lloyd sweeps; `size` in m; `gap`
-    in m, by default 6 mm, or 5/4 of the distance between nodes of a mesh that is too coarse for it; `close`,
+    in m, by default 6 mm, or twice the distance between nodes of a mesh that is too coarse for it; `close`,
     `press`, `hold`, `relax` in s; `material`: default `Material()`.
 
     **Raises:** ValueError for lengths or times that are not positive, or a gap that the sheet fills.
     """
     times = FoldTimes(close, press, hold, relax)
     check_positive(size=size, **times._asdict())
-    if gap is None:
-        gap = max(GAP, COARSEST * size * math.sqrt(2.0 / (math.sqrt(3.0) * nodes)))
+    gap = default_gap(nodes, size) if gap is None else gap
     check_positive(gap=gap)
     material = material or Material()
     thickness = float(np.mean(material.thickness))
@@ -128,6 +129,11 @@ def fold(
     grip = Prescribed(jnp.asarray(np.repeat(held[:, None], 3, axis=1)), motion, as_float(times.release))
     scene = sheet(mesh, material, walls=plates(size, gap, times), prescribed=grip)
     return Setup(mesh, scene, jnp.asarray(mesh.vertices))
+
+
+def default_gap(nodes: int, size: float = SIZE) -> float:
+    """Gap in m between the plates for a mesh of as many nodes."""
+    return max(GAP, COARSEST * size * math.sqrt(2.0 / (math.sqrt(3.0) * nodes)))
 
 
 def plates(size: float, gap: float, times: FoldTimes) -> list[Plane]:
