@@ -9,6 +9,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from jaxcrumple.model.fields import as_float, select
+from jaxcrumple.model.lanes import where_needed
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers import explicit
 from jaxcrumple.solvers.bdf import push
@@ -119,7 +120,7 @@ def _renewed(scene: Scene, carry: _Carry) -> _Carry:
     state, lists = renewed(scene, carry.state, carry.lists)
     now, waiting = listed(scene, lists), waits(state)
     due = _limit_is_due(carry) & ~waiting
-    limit = jax.lax.cond(due, lambda: explicit.stability_limit(now, state.x, state.t), lambda: state.limit)
+    limit = where_needed(due, explicit.stability_limit, state.limit, now, state.x, state.t)
     measured = state.monitor.measured | due
     state = eqx.tree_at(lambda s: (s.limit, s.monitor.measured), state, (limit, measured))
     unsound = ~_is_sound(scene, state) & ~waiting

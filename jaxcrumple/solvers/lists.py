@@ -12,6 +12,7 @@ from jaxcrumple.model.contact import APART_AHEAD, Contact
 from jaxcrumple.model.fans import DUE_TURN, MOST_TURN
 from jaxcrumple.model.fields import select
 from jaxcrumple.model.grid import find_candidates
+from jaxcrumple.model.lanes import where_needed
 from jaxcrumple.model.near import Around, Candidates, Near, first_room, motion
 from jaxcrumple.model.neighbors import find_near
 from jaxcrumple.model.scene import Scene, with_near
@@ -93,15 +94,15 @@ def renewed(scene: Scene, state: State, lists: Lists | None) -> tuple[State, Lis
         return state, None
     wide, old = lists.wide, lists.candidates
 
-    def search() -> Candidates:
+    def search(scene: Scene, wide: Around) -> Candidates:
         assert scene.contact is not None
         return find_candidates(scene.contact, scene.bending.hinges(wide.x).theta, wide)
 
     other = lists.due & ~old.around.equals(wide)
-    lists = lists._replace(candidates=jax.lax.cond(other, search, lambda: old))
+    lists = lists._replace(candidates=where_needed(other, search, old, scene, wide))
     contact = listed(scene, lists).contact
     assert contact is not None and lists is not None
-    near = jax.lax.cond(lists.due, lambda: find_near(contact, lists.close), lambda: lists.near)
+    near = where_needed(lists.due, find_near, lists.near, contact, lists.close)
     needed = jnp.append(near.needed, lists.candidates.count)
     # A list that is too long for a far step is not worth room: it tells that steps must be shorter.
     full = jnp.any(near.overflow) & ~_far(contact, lists)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxcrumple.model.fields import select
+from jaxcrumple.model.lanes import where_needed
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
 from jaxcrumple.state import NEVER, ImplicitStep, Linearization
@@ -90,9 +91,7 @@ def newton(
             factor = jax.lax.cond(carry.renew, renewed, lambda carry: carry.factor, carry)
             return factor.values, factor
         _, values = linearize(scene, step, carry.x)
-        factor = jax.lax.cond(
-            carry.renew, lambda: linear.factor(scene.pattern, values, carry.factor), lambda: carry.factor
-        )
+        factor = where_needed(carry.renew, linear.factor, carry.factor, scene.pattern, values, carry.factor)
         return values, factor
 
     def body(carry: _Carry) -> _Carry:

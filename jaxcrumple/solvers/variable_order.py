@@ -3,12 +3,13 @@
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxcrumple.model.fields import as_float, select
 from jaxcrumple.model.geometry import curvature
+from jaxcrumple.model.lanes import where_needed
+from jaxcrumple.model.pattern import Pattern
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.bdf import damped_order, error_constant, extrapolation, step_formula
 from jaxcrumple.solvers.implicit import (
@@ -139,11 +140,11 @@ class VariableOrder(AbstractImplicit):
         pull = (scene.drag.coefficient / step.beta_h)[:, None] * change
         first = (state.stage != IMPLICIT) & (state.history.count == 1)
 
-        def solve() -> Array:
-            solution = self.linear.solve(scene.pattern, factor, factor.values, pull.reshape(-1), FORCING)
-            return solution.x.reshape(change.shape)
+        def solve(pattern: Pattern, factor: Factor, pull: Array) -> Array:
+            solution = self.linear.solve(pattern, factor, factor.values, pull.reshape(-1), FORCING)
+            return solution.x.reshape(pull.shape)
 
-        return jax.lax.cond(first, solve, lambda: change)
+        return where_needed(first, solve, change, scene.pattern, factor, pull)
 
     def _errors(self, scene: Scene, state: State, h, formula: "_Formula", x, p, change) -> Array:
         """Local errors (3,) of the orders below, at and above the step's, in units of the tolerance."""
