@@ -45,6 +45,8 @@ KINDS: dict[str, Callable[[Inputs], Array]] = {
     "start: velocities": lambda i: i[1].v,
     "start: rest curvatures": lambda i: i[1].p,
 }
+# Of differences the best is taken, or the first one that is as good as this.
+ENOUGH = 1e-6
 # Relative changes of which differences are taken: of the replay, and of free runs.
 CHANGES, FREE = tuple(10.0 ** -np.arange(0.5, 8.0, 0.5)), (1e-3, 1e-5)
 
@@ -130,7 +132,7 @@ def checks(window: Window, free: bool) -> list[Line]:
             (abs(found / reverse - 1.0) for found in differences if np.isfinite(found)), default=np.nan
         )
         runs = tuple(difference(run, name, window.inputs, size) for size in FREE) if free else ()
-        lines.append(Line(name, reverse, abs(forward / reverse - 1.0), best, runs))
+        lines.append(Line(name, reverse, abs(forward / reverse - 1.0), float(best), runs))
         print(lines[-1], flush=True)
     return lines
 

@@ -110,13 +110,20 @@ def loss_of(solution, **options):
 
 
 def gradient_of(scene, solution, **options):
-    return eqx.filter_jit(eqx.filter_grad(loss_of(solution, **options)))(scene)
+    """Derivatives of the measure by everything in the scene, times a cotangent."""
+    loss = loss_of(solution, **options)
+    slopes = eqx.filter_jit(eqx.filter_grad(lambda scene, cotangent: cotangent * loss(scene)))
+    return lambda cotangent: slopes(scene, jnp.asarray(cotangent))
 
 
 @pytest.fixture(scope="module")
-def gradient(run):
-    """Derivatives of the measure by everything in the scene."""
+def slopes(run):
     return gradient_of(*run)
+
+
+@pytest.fixture(scope="module")
+def gradient(slopes):
+    return slopes(1.0)
 
 
 def test_derivatives_of_the_recorded_steps_need_no_solution(run, gradient):
@@ -129,12 +136,22 @@ def test_derivatives_of_the_recorded_steps_need_no_solution(run, gradient):
     np.testing.assert_allclose(frames.p, solution.p, atol=1e-8, rtol=0)
     other = eqx.tree_at(lambda s: s.membrane.stiffness, scene, scene.membrane.stiffness * 1.001)
     assert np.all(np.isnan(replay(other, solution.record, solve=False).x))
-    taken = gradient_of(scene, solution, solve=False, checkpoint=True)
+    taken = gradient_of(scene, solution, solve=False, checkpoint=True)(1.0)
     for name, leaf in LEAVES.items():
         if has(scene, leaf):
             expected = leaf(gradient)
             size = float(jnp.max(jnp.abs(expected)))
             np.testing.assert_allclose(leaf(taken), expected, atol=1e-4 * size, rtol=0, err_msg=name)
+
+
+def test_cotangents_may_be_tiny_or_nothing(slopes, gradient):
+    """Also such whose squares are rounded to nothing."""
+    numbers = [jax.tree.leaves(eqx.filter(slopes(scale), eqx.is_array)) for scale in (1e-200, 0.0)]
+    for one, tiny, nothing in zip(jax.tree.leaves(eqx.filter(gradient, eqx.is_array)), *numbers, strict=True):
+        assert np.all(np.isfinite(one))
+        size = float(jnp.max(jnp.abs(one), initial=0.0))
+        np.testing.assert_allclose(1e200 * tiny, one, atol=1e-9 * size, rtol=0)
+        assert not np.any(nothing)
 
 
 def test_derivatives_are_those_of_the_replay(run, gradient):
