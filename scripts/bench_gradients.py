@@ -1,8 +1,8 @@
 """What the gradient of a run costs: time over that of the run, and memory against the number of steps.
 
 `radial`, self-avoiding, from crumpled (t = 2.6 s): what 300 attempts come to, some 200 steps. All are timed
-in turn in one process, warm: the run, its replay, a gradient in reverse mode and one direction in forward mode,
-with steps solved again and as recorded. Memory is what XLA plans for the temporary arrays of the gradient.
+in turn in one process, warm: the run, its replay, a gradient in reverse mode and one direction in forward
+mode, with steps solved again and as recorded. Memory is what XLA plans for the gradient's temporary arrays.
 
     python scripts/bench_gradients.py [--nodes N ...]
 """
