@@ -31,9 +31,8 @@ def measured(nodes: int, yields: float) -> dict:
         setup.scene, state, [TIMES.release, TIMES.end], solver=jc.integrator(RTOL, scheme="dynamic")
     )
     angle = float(jc.fold_angle(setup.mesh, jnp.asarray(solution.x[-1])))
-    c0 = jc.Material(yield_curvature=yields).discretize(setup.mesh).c0
     return {
-        "c0": float(np.mean(c0)),
+        "c0": float(np.mean(setup.scene.plasticity.yield_curvature)),
         "angle": float(np.rad2deg(angle)),
         "lambda": float(np.sqrt(nodes / setup.mesh.area)),
         "result": solution.result,

@@ -114,7 +114,7 @@ class Evaluations:
         value = np.asarray(evaluate(np.asarray(u)))
         if kind != "residuals" and not np.all(np.isfinite(value)):
             raise ValueError(
-                f"the run at {self.decoded(u)} has no derivatives: a step of its replay finds no solution. "
+                f"the run at {self.decoded(u)} has no derivatives: those of a step are not finite. "
                 "Choose another start, or a smaller rtol."
             )
         self._keep(kind, u, value, time.perf_counter() - start)
