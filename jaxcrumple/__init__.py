@@ -14,7 +14,7 @@ from jaxcrumple.model.scene import Scene, sheet
 from jaxcrumple.renewal import with_contacts
 from jaxcrumple.replay import Record, Replay, replay
 from jaxcrumple.run import resume_run, start_run
-from jaxcrumple.scenes import arch, cap, energy_drop, fold, fold_angle, radial, relaxed_drop
+from jaxcrumple.scenes import Setup, arch, cap, energy_drop, fold, fold_angle, radial, relaxed_drop
 from jaxcrumple.simulate import SimulationError, Solution, frame_times, simulate
 from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.relax import relax
@@ -22,6 +22,7 @@ from jaxcrumple.solvers.scheme import Integrator, integrator
 from jaxcrumple.solvers.solve import linear_solve
 from jaxcrumple.solvers.switch import Switch
 from jaxcrumple.state import RESULTS, State, initial_state
+from jaxcrumple.sweep import sweep
 from jaxcrumple.system import elastic_tangent, energies, force, mass_matrix, potential_energy, tangent
 
 __all__ = [
@@ -50,6 +51,7 @@ __all__ = [
     "RunDirectoryError",
     "Scene",
     "SelfContact",
+    "Setup",
     "SimulationError",
     "SmoothstepFlow",
     "Solution",
@@ -87,6 +89,7 @@ __all__ = [
     "sheet",
     "simulate",
     "start_run",
+    "sweep",
     "tangent",
     "with_contacts",
 ]

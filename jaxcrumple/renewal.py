@@ -1,6 +1,8 @@
 """Renewing the lists of contact on the host: the search for candidates, and room for more where lists are
 full."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +24,7 @@ from jaxcrumple.model.near import (
 from jaxcrumple.model.neighbors import find_near
 from jaxcrumple.model.scene import Scene, with_near
 from jaxcrumple.model.search import Search
-from jaxcrumple.state import State, check_positions, first_listing
+from jaxcrumple.state import Listing, State, check_positions, first_listing
 
 _find_near = eqx.filter_jit(find_near)
 # First room for candidates by node, and at least: in a fine mesh the next neighbours of all triangles are
@@ -153,7 +155,45 @@ def with_contacts(scene: Scene, x: ArrayLike | State, needed: ArrayLike | None =
     check_positions("x", positions, scene.n_nodes)
     if listing is None:
         listing = first_listing(contact, jnp.asarray(positions, float))
-    renewal = Renewal(scene, merged=True)
-    scene = renewal.grown(scene, np.asarray(listing.needed if needed is None else needed))
+    return _listed(scene, listing, np.asarray(listing.needed if needed is None else needed), merged=True)
+
+
+def batch_with_contacts(scenes: Sequence[Scene], states: Sequence[State]) -> list[Scene]:
+    """The scenes of a batch with lists of contact made for their states, all of one size.
+
+    Scenes without contact are returned as they are. Tangents for a direct solver get no places.
+    """
+    if scenes[0].contact is None:
+        return list(scenes)
+    listings = [_listing(state) for state in states]
+    needed = np.max([np.asarray(listing.needed) for listing in listings], axis=0)
+    while True:
+        made = [
+            _listed(scene, listing, needed, merged=False)
+            for scene, listing in zip(scenes, listings, strict=True)
+        ]
+        sizes = [_sizes(scene) for scene in made]
+        if len(set(sizes)) == 1:
+            return made
+        *room, candidates = np.max(sizes, axis=0).tolist()
+        scenes = [_with_candidates(_with_room(scene, Room(*room)), candidates) for scene in made]
+        needed = np.zeros_like(needed)
+
+
+def _listing(state: State) -> Listing:
+    assert state.listing is not None
+    return state.listing
+
+
+def _sizes(scene: Scene) -> tuple[int, ...]:
+    """Sizes of the lists: those of `Room`, and candidates."""
+    assert scene.contact is not None
+    return (*scene.contact.near.room, scene.contact.candidates.triangles.shape[0])
+
+
+def _listed(scene: Scene, listing: Listing, needed: np.ndarray, merged: bool) -> Scene:
+    """The scene with lists for a state's `listing` and room for `needed` (4,)."""
+    renewal = Renewal(scene, merged)
+    scene = renewal.grown(scene, needed)
     scene = renewal.searched(scene, listing.candidates)
     return renewal.filled(renewal.placed(scene, listing.matrix), listing.near)

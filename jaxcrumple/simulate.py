@@ -137,7 +137,7 @@ def simulate(
     """
     check_state(scene, state)
     check_start(scene, state)
-    stops = _checked_times(times, first_frame, float(state.t))
+    stops = checked_times(times, first_frame, float(state.t))
     solver = integrator() if solver is None else solver
     if not isinstance(solver, Integrator):
         raise ValueError(f"solver = {solver!r} must be what jaxcrumple.integrator(rtol, scheme=...) makes.")
@@ -187,7 +187,11 @@ def frame_times(t_end: float, frames: int) -> np.ndarray:
     return np.linspace(0.0, t_end, frames + 1)
 
 
-def _checked_times(times: ArrayLike, first_frame: int, now: float) -> np.ndarray:
+def checked_times(times: ArrayLike, first_frame: int = 0, now: float = 0.0) -> np.ndarray:
+    """Frame times in s as an array.
+
+    **Raises:** ValueError for times that are not finite, not increasing or before `now`.
+    """
     stops = np.atleast_1d(np.asarray(times, float))
     sound = stops.ndim == 1 and np.all(np.isfinite(stops)) and np.all(np.diff(stops) > 0)
     if not (sound and stops.size and stops[0] >= 0 and stops[-1] > 0):

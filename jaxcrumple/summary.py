@@ -21,16 +21,25 @@ _energies = eqx.filter_jit(energies)
 
 
 def physics(setup: Setup, state: State, history: pd.DataFrame, events: pd.DataFrame) -> dict[str, Any]:
-    """Energies in J, strains, penetration and gaps in m, creases in m, and what each stage took."""
+    """The figures of a run's last state, and what each stage took."""
+    rejected = np.asarray(state.counters.rejected)
+    return {
+        "rejected_by_cause": {cause: int(rejected[i]) for i, cause in enumerate(CAUSES)},
+        **figures(setup, state),
+        "dynamic_share": dynamic_share(state, events),
+        "step_size_s": _quantiles(history),
+    }
+
+
+def figures(setup: Setup, state: State) -> dict[str, Any]:
+    """Energies in J, strains, penetration and gaps in m, creases in m of a state."""
     mesh, scene = setup.mesh, with_contacts(setup.scene, state.x)
     x = np.asarray(state.x)
     p = np.asarray(scene.rest_curvature(state.p))
     parts = _energies(scene, state.x, state.v, state.p, state.t)
     strain = edge_strain(mesh, x)
     gaps = [np.min(np.asarray(wall.gap(state.x, state.t))) for wall in scene.walls]
-    rejected = np.asarray(state.counters.rejected)
     return {
-        "rejected_by_cause": {cause: int(rejected[i]) for i, cause in enumerate(CAUSES)},
         "energy": {name: float(value) for name, value in parts._asdict().items()},
         "max_edge_strain": float(np.max(np.abs(strain))),
         "high_edge_strain": float(np.quantile(np.abs(strain), 0.999)),
@@ -39,8 +48,6 @@ def physics(setup: Setup, state: State, history: pd.DataFrame, events: pd.DataFr
         **_contacts(mesh, scene, x),
         "inverted_hinges": folded_hinges(mesh, x),
         "crease_length": crease_length(mesh, p),
-        "dynamic_share": dynamic_share(state, events),
-        "step_size_s": _quantiles(history),
     }
 
 

@@ -4,7 +4,8 @@ from jaxcrumple.scenes.arch import arch
 from jaxcrumple.scenes.cap import cap
 from jaxcrumple.scenes.catalogue import SCENES, SceneEntry
 from jaxcrumple.scenes.fold import fold, fold_angle
-from jaxcrumple.scenes.radial import Setup, radial
+from jaxcrumple.scenes.radial import radial
+from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.snap import Drop, energy_drop, relaxed_drop
 
 __all__ = [

@@ -7,7 +7,7 @@ from jaxcrumple.material import Material
 from jaxcrumple.meshgen import disc
 from jaxcrumple.model.loads import dead_load
 from jaxcrumple.model.scene import sheet
-from jaxcrumple.scenes.radial import Setup
+from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.snap import check_positive, fixed, sheet_material
 
 

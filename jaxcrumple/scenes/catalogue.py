@@ -10,7 +10,8 @@ from jaxcrumple.model.contact import Potential
 from jaxcrumple.scenes.arch import arch
 from jaxcrumple.scenes.cap import cap
 from jaxcrumple.scenes.fold import TIMES, fold
-from jaxcrumple.scenes.radial import Setup, radial
+from jaxcrumple.scenes.radial import radial
+from jaxcrumple.scenes.setup import Setup
 
 
 class SceneEntry(NamedTuple):

@@ -16,7 +16,7 @@ from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.geometry import cross, gather, sub
 from jaxcrumple.model.loads import AbstractMotion, Prescribed
 from jaxcrumple.model.scene import sheet
-from jaxcrumple.scenes.radial import Setup
+from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.snap import check_positive
 
 # Strips along two edges that are held, as a share of the sheet's size.

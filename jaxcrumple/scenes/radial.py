@@ -1,48 +1,18 @@
 """Radial confinement: a square sheet inside a shrinking sphere (Figs. 5, 6, 8)."""
 
-from typing import NamedTuple
-
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
 from jaxcrumple.material import Material
-from jaxcrumple.mesh import Mesh
 from jaxcrumple.meshgen import rectangle
 from jaxcrumple.model.confinement import Ramp, Sphere
 from jaxcrumple.model.contact import Potential, SelfContact
-from jaxcrumple.model.damping import PaperDashpot
 from jaxcrumple.model.fields import as_float
-from jaxcrumple.model.scene import Scene, sheet
+from jaxcrumple.model.scene import sheet
+from jaxcrumple.scenes.setup import Setup
 
 # Shortest wavelength of the initial imperfection in m, and how many modes each way it has at most.
 IMPERFECTION_WAVELENGTH = 0.02
-
-
-class Setup(NamedTuple):
-    """A scene ready to run: the sheet's `mesh`, the `scene`, where its nodes `x` (n, 3) start, and options of
-    its self-`contact`, if it has any."""
-
-    mesh: Mesh
-    scene: Scene
-    x: Array
-    contact: SelfContact | None = None
-
-    def made_of(self, material: Material) -> Scene:
-        """The scene with the sheet of another material, and walls and contact as they follow from that: a
-        function with derivatives."""
-        scene = self.scene
-        return sheet(
-            self.mesh,
-            material,
-            walls=[wall.shape for wall in scene.walls],
-            gravity=None if scene.gravity is None else tuple(scene.gravity.g),
-            prescribed=scene.prescribed,
-            extra=scene.extra,
-            damping="paper" if isinstance(scene.damping, PaperDashpot) else "central",
-            contact=self.contact,
-            like=scene,
-        )
 
 
 def radial(

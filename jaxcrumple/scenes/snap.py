@@ -11,7 +11,7 @@ from jaxcrumple.material import Material
 from jaxcrumple.model.loads import LinearMotion, Prescribed
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.renewal import with_contacts
-from jaxcrumple.scenes.radial import Setup
+from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.solvers.relax import Relaxed, relax
 from jaxcrumple.state import State, initial_state
 from jaxcrumple.system import energies

@@ -1,0 +1,143 @@
+"""All cases of a sweep as one program: lanes with their own step sizes, stages and results."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jax.sharding import Mesh as DeviceMesh
+
+from jaxcrumple.model.scene import Scene
+from jaxcrumple.renewal import batch_with_contacts
+from jaxcrumple.scenes import Setup
+from jaxcrumple.simulate import MOST_WAITS, RESULT_NAMES
+from jaxcrumple.start import check_gap, check_start, pierced
+from jaxcrumple.state import RESULTS, State, initial_state
+from jaxcrumple.sweep.cases import Case
+from jaxcrumple.sweep.lanes import AXIS, Inputs, advance, differing, lane, lanes_of, stacked
+from jaxcrumple.sweep.table import Measure, Outcome, Tell, measured
+from jaxcrumple.threads import limited_blas
+
+
+def run_batch(
+    cases: Sequence[Case],
+    times: np.ndarray,
+    measure: Measure,
+    max_attempts: float,
+    devices: Sequence[jax.Device],
+    tell: Tell,
+) -> list[Outcome]:
+    """Outcomes of the cases, run side by side.
+
+    **Raises:** ValueError for cases that are not of one mesh and kind, or start where no motion leads on.
+    """
+    if any(case.solver.one_matrix for case in cases):
+        raise ValueError(
+            "the direct solver takes one sheet at a time; take linear='two-level', or backend='processes'."
+        )
+    with limited_blas():
+        batch = _Batch(cases, times, max_attempts, devices)
+        frames: list[list[xr.Dataset]] = [[] for _ in cases]
+        while np.any(batch.going):
+            batch.advance()
+            for index, state in batch.arrived():
+                frames[index].append(measured(measure, batch.setups[index], state))
+            for index in batch.ended():
+                tell(cases[index].values, batch.results[index])
+    states = jax.device_get(batch.states)
+    return [Outcome(batch.results[i], lane(states, i), frames[i]) for i in range(len(cases))]
+
+
+class _Batch:
+    """Lanes on their way from frame to frame, each at its own pace."""
+
+    def __init__(self, cases: Sequence[Case], times: np.ndarray, max_attempts: float, devices):
+        self.times, self.max_attempts = times, max_attempts
+        self.setups = [case.build() for case in cases]
+        states = [initial_state(setup.scene, setup.x) for setup in self.setups]
+        self.scenes = _checked(cases, self.setups, states)
+        self.solvers = [case.solver for case in cases]
+        count = min(len(devices), len(cases))
+        self.devices = DeviceMesh(np.array(devices[:count]), (AXIS,))
+        # Each device has as many lanes; those beyond the cases repeat the last one, and never start.
+        self.spare = -len(cases) % count
+        self.own = differing(self._inputs())
+        self.lanes = lanes_of(self._inputs(), self.own)
+        self.states: State = stacked(states + states[-1:] * self.spare)
+        size = len(cases) + self.spare
+        self.reached, self.waits = np.zeros(size, int), np.zeros(size, int)
+        self.going = np.arange(size) < len(cases)
+
+    def _inputs(self) -> list[Inputs]:
+        pairs = list(zip(self.scenes, self.solvers, strict=True))
+        return pairs + pairs[-1:] * self.spare
+
+    @property
+    def results(self) -> np.ndarray:
+        """Names of all lanes' results."""
+        names = np.full(len(self.going), "", dtype=object)
+        for name in RESULT_NAMES:
+            names[np.asarray(self.states.result == getattr(RESULTS, name))] = name
+        return names
+
+    def advance(self) -> None:
+        """One call of the program for all lanes that are going; new lists where they stopped for one."""
+        made = self._attempts()
+        stops = np.where(self.going, self.times[np.minimum(self.reached, len(self.times) - 1)], -np.inf)
+        left = self.max_attempts - made
+        self.states = advance(self.lanes, self.states, jnp.asarray(stops), jnp.asarray(left), self.devices)
+        waited = self.going & (self._attempts() == made) & (left > 0)
+        self.waits = np.where(waited, self.waits + 1, 0)
+        unfinished = self.going & (np.asarray(self.states.t) < stops)
+        self._end(unfinished & (self.max_attempts <= self._attempts()), RESULTS.budget)
+        self._end(self.waits > MOST_WAITS, RESULTS.collapsed)
+        listing = self.states.listing
+        if listing is not None and np.any(np.asarray(listing.needed)):
+            states = jax.device_get(self.states)
+            lanes = [lane(states, index) for index in range(len(self.scenes))]
+            self.scenes = batch_with_contacts(self.scenes, lanes)
+            self.lanes = lanes_of(self._inputs(), self.own)
+
+    def arrived(self) -> Iterator[tuple[int, State]]:
+        """Lanes that reached their next frame, and their states; they go on to the one after."""
+        sound = self.results == "success"
+        due = self.times[np.minimum(self.reached, len(self.times) - 1)]
+        for index in np.flatnonzero(self.going & sound & (np.asarray(self.states.t) >= due)).tolist():
+            state = lane(self.states, index)
+            yield index, state
+            self.reached[index] += 1
+            if self.scenes[index].contact is not None and len(pierced(self.scenes[index], state.x)):
+                self._end(np.arange(len(self.going)) == index, RESULTS.intersected)
+
+    def ended(self) -> np.ndarray:
+        """Lanes that have just ended."""
+        ended = self.going & ((self.results != "success") | (self.reached == len(self.times)))
+        self.going = self.going & ~ended
+        return np.flatnonzero(ended)
+
+    def _attempts(self) -> np.ndarray:
+        counters = self.states.counters
+        return np.sum(np.asarray(counters.steps), axis=1) + np.sum(np.asarray(counters.rejected), axis=1)
+
+    def _end(self, lanes: np.ndarray, result: Any) -> None:
+        """Give some of the lanes a result."""
+        if np.any(lanes):
+            given = RESULTS.where(jnp.asarray(lanes), result, self.states.result)
+            self.states = eqx.tree_at(lambda s: s.result, self.states, given)
+
+
+def _checked(cases: Sequence[Case], setups: Sequence[Setup], states: Sequence[State]) -> list[Scene]:
+    """Scenes of the cases with their lists of contact, and starts from which motion leads on."""
+    for case, setup, state in zip(cases, setups, states, strict=True):
+        with case.blamed():
+            check_start(setup.scene, state)
+    differing([(setup.scene, case.solver) for case, setup in zip(cases, setups, strict=True)])
+    scenes = batch_with_contacts([setup.scene for setup in setups], states)
+    for case, scene, state in zip(cases, scenes, states, strict=True):
+        if scene.contact is not None:
+            with case.blamed():
+                check_gap(scene, state)
+    return scenes

@@ -1,0 +1,98 @@
+"""Worker processes: Dask's, one to a core of this machine, or of any cluster that Dask knows."""
+
+import logging
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import jax
+from distributed import Client, Scheduler, SpecCluster, WorkerPlugin, as_completed
+from distributed.deploy.subprocess import SubprocessWorker
+
+# A cluster of Dask, a client of one, its scheduler's address, or None for workers on this machine.
+Cluster = Any
+_QUIET = logging.ERROR
+
+
+class OneCore(WorkerPlugin):
+    """Holds each worker to a core of its own: XLA starts a thread for every core that it may use."""
+
+    name = "one-core"
+
+    def __init__(self, cores: Sequence[int]):
+        self.cores = list(cores)
+
+    def setup(self, worker) -> None:
+        """Called by a worker that starts, before it has threads."""
+        os.sched_setaffinity(0, {self.cores[int(worker.name) % len(self.cores)]})
+
+
+@contextmanager
+def connected(cluster: Cluster, most: int) -> Iterator[Client]:
+    """A client of the cluster; of workers on this machine, one to a core and `most` of them, for None.
+
+    These start as programs of their own, so that a script needs no guard around its main part.
+    """
+    if isinstance(cluster, Client):
+        yield cluster
+    elif cluster is not None:
+        with Client(cluster) as client:
+            yield client
+    else:
+        cores = _cores()
+        with _local(min(len(cores), most)) as local, Client(local) as client:
+            if hasattr(os, "sched_setaffinity"):
+                client.register_plugin(OneCore(cores))
+            yield client
+
+
+def _cores() -> list[int]:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return sorted(os.sched_getaffinity(0))
+    return list(range(os.cpu_count() or 1))
+
+
+def _local(workers: int) -> SpecCluster:
+    # Workers import what the caller can, and compile into caches that they do not share: two that write the
+    # same entry at once would damage it.
+    cache = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
+    environment = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "OMP_NUM_THREADS": "1"}
+
+    def worker(index: int) -> dict[str, Any]:
+        own = {} if cache is None else {"JAX_COMPILATION_CACHE_DIR": os.path.join(cache, f"worker-{index}")}
+        options = {"nthreads": 1, "name": str(index), "memory_limit": 0, "dashboard": False}
+        options |= {"env": environment | own, "silence_logs": _QUIET}
+        return {"cls": SubprocessWorker, "options": {"worker_kwargs": options}}
+
+    scheduler = {"host": "127.0.0.1", "port": 0, "dashboard": False, "dashboard_address": None}
+    return SpecCluster(
+        workers={index: worker(index) for index in range(workers)},
+        scheduler={"cls": Scheduler, "options": scheduler},
+        silence_logs=_QUIET,
+    )
+
+
+def run_all(client: Client, function: Callable[..., Any], jobs: Sequence[tuple]) -> Iterator[tuple[int, Any]]:
+    """Results of `function(*job)` with the jobs' indices, as they come; the first error is raised.
+
+    What a worker that is lost was at is done again by another one.
+    """
+    x64 = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]
+    waiting = {client.submit(_task, function, job, x64, pure=False): index for index, job in enumerate(jobs)}
+    try:
+        for future, result in as_completed(waiting, with_results=True):
+            # A result that is known must not be made again when its worker is lost.
+            index = waiting.pop(future)
+            future.release()
+            yield index, result
+    finally:
+        client.cancel(list(waiting))
+
+
+def _task(function: Callable[..., Any], job: tuple, x64: bool) -> Any:
+    """One job, in the precision of the caller."""
+    jax.config.update("jax_enable_x64", x64)
+    return function(*job)

@@ -1,0 +1,93 @@
+"""Lanes of a batch: trees of the same structure as one, and the one program that advances them all."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.sharding import Mesh as DeviceMesh
+from jax.sharding import PartitionSpec
+
+from jaxcrumple.model.scene import Scene
+from jaxcrumple.solvers.integrate import integrate
+from jaxcrumple.solvers.scheme import Integrator
+from jaxcrumple.state import State
+
+AXIS = "lanes"
+# A scene and its solver: what lanes may differ by.
+Inputs = tuple[Scene, Integrator]
+
+
+class Lanes(NamedTuple):
+    """Scenes and solvers of all lanes: `own` numbers, by which lanes differ, have a leading axis (lanes,);
+    the others are `shared`."""
+
+    own: Any
+    shared: Any
+
+
+def stacked(trees: Sequence[Any]) -> Any:
+    """Trees of arrays as one with a leading axis."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
+
+
+def lane(tree: Any, index: int) -> Any:
+    """One lane of stacked arrays."""
+    return jax.tree.map(lambda leaf: leaf[index], tree)
+
+
+def differing(inputs: Sequence[Inputs]) -> Inputs:
+    """Which numbers lanes differ by, or will once they move: a tree of booleans.
+
+    **Raises:** ValueError for lanes that have not the same structure and sizes.
+    """
+    arrays, static = zip(*(eqx.partition(pair, eqx.is_array) for pair in inputs), strict=True)
+    structure = [
+        (jax.tree.structure(tree), [leaf.shape for leaf in jax.tree.leaves(tree)]) for tree in arrays
+    ]
+    if any(one != structure[0] for one in structure) or not all(eqx.tree_equal(s, static[0]) for s in static):
+        raise ValueError(
+            "the members of a batch must be of one mesh and one kind: nodes, seed, terms, scheme and orders "
+            "the same. Vary the others in a sweep of its own, or take backend='processes'."
+        )
+    mask = jax.tree.map(lambda first, *rest: any(not _same(first, one) for one in rest), *arrays)
+    if inputs[0][0].contact is not None:
+        mask = eqx.tree_at(
+            lambda pair: (pair[0].contact.near, pair[0].contact.candidates),
+            mask,
+            replace_fn=lambda lists: jax.tree.map(lambda _: True, lists),
+        )
+    return mask
+
+
+def _same(one: Any, other: Any) -> bool:
+    return one is other or np.array_equal(np.asarray(one), np.asarray(other), equal_nan=True)
+
+
+def lanes_of(inputs: Sequence[Inputs], mask: Inputs) -> Lanes:
+    """Scenes and solvers as lanes; `mask`: which of their numbers are each lane's own."""
+    own = [eqx.filter(eqx.filter(pair, eqx.is_array), mask) for pair in inputs]
+    arrays, static = eqx.partition(inputs[0], eqx.is_array)
+    return Lanes(stacked(own), eqx.combine(eqx.filter(arrays, mask, inverse=True), static))
+
+
+@eqx.filter_jit
+def advance(lanes: Lanes, states: State, stops: Array, left: Array, devices: DeviceMesh) -> State:
+    """One call of `integrate` for each lane: to its time of `stops` (lanes,) in s by at most so many attempts
+    as are `left` (lanes,). Each of the `devices` has a part of the lanes, and waits for no other."""
+    shared, static = eqx.partition(lanes.shared, eqx.is_array)
+
+    def part(own: Any, states: State, stops: Array, left: Array, shared: Any) -> State:
+        def one(own: Any, state: State, stop: Array, left: Array) -> State:
+            scene, solver = eqx.combine(own, shared, static)
+            return integrate(scene, state, stop, solver, left)[0]
+
+        return jax.vmap(one)(own, states, stops, left)
+
+    many, all_of_it = PartitionSpec(AXIS), PartitionSpec()
+    specs = (many, many, many, many, all_of_it)
+    mapped = jax.shard_map(part, mesh=devices, in_specs=specs, out_specs=many, check_vma=False)
+    return mapped(lanes.own, states, stops, left, shared)

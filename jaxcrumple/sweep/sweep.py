@@ -1,0 +1,77 @@
+"""`sweep`: a scene over a grid of its numbers."""
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Literal
+
+import jax
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from jaxcrumple.simulate import checked_times
+from jaxcrumple.solvers.scheme import Integrator
+from jaxcrumple.sweep.batch import run_batch
+from jaxcrumple.sweep.cases import Scenes, cases_of, checked_grid
+from jaxcrumple.sweep.cluster import Cluster
+from jaxcrumple.sweep.processes import run_processes
+from jaxcrumple.sweep.table import Measure, Tell, standard_measure, table
+
+Backend = Literal["auto", "batch", "processes"]
+
+
+def sweep(
+    scene: Scenes,
+    over: Mapping[str, Iterable[Any]],
+    times: ArrayLike,
+    *,
+    settings: Mapping[str, Any] | None = None,
+    solver: Integrator | None = None,
+    measure: Measure = standard_measure,
+    backend: Backend = "auto",
+    cluster: Cluster = None,
+    devices: Sequence[jax.Device] | None = None,
+    max_attempts: int | None = None,
+    tell: Tell = lambda values, result: None,
+) -> xr.Dataset:
+    """Run a scene for every combination of some of its numbers.
+
+    **Arguments:**
+
+    - `scene`: name of a scene, or a function of the names in `over` and `settings` that returns a `Setup`.
+    - `over`: values by name, numbers or words. Of a named scene: any option of scene, material or solver,
+      `nodes` and `seed`.
+    - `times`: moments in s at which to measure, increasing, or the end alone.
+    - `settings`: what all cases have in common, by name as in `over`.
+    - `solver`: for a scene that is a function, by default `integrator()`.
+    - `measure`: function of `Setup` and `State` that returns by name numbers, pairs of dimensions and array,
+      or DataArrays; by default energies, crease length, strains and contacts.
+    - `backend`: "batch", all cases as lanes of one program on the `devices` (by default all of the default
+      kind), which needs a linear solver that batches; "processes", each case a run in a worker process; or
+      "auto": the former where JAX has an accelerator, the latter on a CPU.
+    - `cluster`: of the workers: a cluster or a client of Dask, or the address of a scheduler; by default
+      workers on this machine, one to a core.
+    - `max_attempts`: step attempts after which a case ends with the result "budget".
+    - `tell`: called with values and result of each case as it ends.
+
+    **Returns:** an xarray Dataset over the names in `over`, with `result`, `t_reached`, `steps` and counters
+    of each case, and over `time` what was measured, NaN where a case ended before. A case that fails stops
+    alone.
+
+    **Raises:** ValueError for impossible values and cases, before any of them runs.
+    """
+    if backend not in ("auto", "batch", "processes"):
+        raise ValueError(f"backend = {backend!r} is unknown; choose auto, batch or processes.")
+    if backend == "auto":
+        backend = "processes" if jax.default_backend() == "cpu" else "batch"
+    stops = checked_times(times)
+    linear = "two-level" if backend == "batch" else "auto"
+    cases = cases_of(scene, over, settings or {}, float(stops[-1]), solver, linear)
+    most = np.inf if max_attempts is None else max_attempts
+    start = time.perf_counter()
+    if backend == "batch":
+        outcomes = run_batch(cases, stops, measure, most, devices or jax.devices(), tell)
+    else:
+        outcomes = run_processes(cases, stops, measure, most, cluster, tell)
+    attributes = {"backend": backend, "seconds": time.perf_counter() - start}
+    return table(checked_grid(over), stops, outcomes, attributes)
