@@ -22,7 +22,7 @@ from jaxcrumple.solvers.scheme import Integrator, integrator
 from jaxcrumple.solvers.solve import linear_solve
 from jaxcrumple.solvers.switch import Switch
 from jaxcrumple.state import RESULTS, State, initial_state
-from jaxcrumple.sweep import sweep
+from jaxcrumple.sweep import campaign, grid, sweep
 from jaxcrumple.system import elastic_tangent, energies, force, mass_matrix, potential_energy, tangent
 
 __all__ = [
@@ -61,6 +61,7 @@ __all__ = [
     "Wall",
     "arch",
     "calibrate_fold",
+    "campaign",
     "cap",
     "configure",
     "disc",
@@ -72,6 +73,7 @@ __all__ = [
     "fold_angle",
     "force",
     "frame_times",
+    "grid",
     "hexagonal",
     "initial_state",
     "integrate",

@@ -1,4 +1,4 @@
-"""The command line: `jaxcrumple run`, `scenes`, `plot`."""
+"""The command line: `jaxcrumple run`, `calibrate`, `sweep`, `campaign`, `scenes`, `plot`."""
 
 import importlib.metadata
 import os
@@ -151,6 +151,69 @@ def _tell_evaluation(row) -> None:
     if row["kind"] == "residuals" and row["seconds"] > 0.0:
         value, loss, seconds = row["yield_curvature"], row["loss"], row["seconds"]
         console.print(f"yield curvature {value:.5g} 1/m: loss {loss:.3g}, {seconds:.0f} s")
+
+
+SweepPath = Annotated[Path, typer.Argument(help="TOML file: scene, t_end, frames, [settings], [over].")]
+SchedulerAddress = Annotated[
+    str | None, typer.Option(help="Address of a Dask scheduler (default: workers on this machine).")
+]
+
+
+@app.command()
+def sweep(
+    file: SweepPath,
+    out: Annotated[Path | None, typer.Option(help="New netCDF file (default: FILE with .nc).")] = None,
+    backend: Annotated[str, typer.Option(help="auto, batch or processes.")] = "auto",
+    scheduler: SchedulerAddress = None,
+) -> None:
+    """Run a scene over a grid of its numbers, and write all outcomes to one netCDF file."""
+    from jaxcrumple.simulate import frame_times
+    from jaxcrumple.sweep.file import read_sweep
+    from jaxcrumple.sweep.sweep import sweep
+
+    asked = read_sweep(file)
+    path = out or file.with_suffix(".nc")
+    if path.exists():
+        raise ValueError(f"{path} exists; give another --out, or remove it.")
+    table = sweep(
+        asked.scene,
+        asked.over,
+        frame_times(asked.end, asked.frames)[1:],
+        settings=asked.settings,
+        backend=backend,  # type: ignore[arg-type]
+        cluster=scheduler,
+        tell=_tell_case,
+    )
+    table.to_netcdf(path, engine="scipy")
+    console.print(f"{table.result.size} runs in {table.attrs['seconds']:.0f} s: {path}", soft_wrap=True)
+    _all_must_succeed((table.result == "success").all())
+
+
+@app.command()
+def campaign(
+    file: SweepPath,
+    out: Annotated[Path | None, typer.Option(help="Folder of all runs (default: runs/FILE).")] = None,
+    scheduler: SchedulerAddress = None,
+) -> None:
+    """Run a scene over a grid, each run into a folder of its own; again: only what is missing."""
+    from jaxcrumple.sweep import campaign, grid
+    from jaxcrumple.sweep.file import read_sweep
+
+    asked, folder = read_sweep(file), out or Path("runs") / file.stem
+    settings = {**asked.settings, "frames": asked.frames}
+    runs = grid(asked.scene, asked.over, settings, t_end=asked.end)
+    table = campaign(runs, folder, cluster=scheduler, tell=_tell_case)
+    console.print(f"{len(table)} runs: {folder / 'campaign.csv'}", soft_wrap=True)
+    _all_must_succeed((table["result"] == "success").all())
+
+
+def _tell_case(name: str, result: str) -> None:
+    console.print(f"{name}: {result}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _all_must_succeed(success) -> None:
+    if not success:
+        raise typer.Exit(1)
 
 
 @app.command()

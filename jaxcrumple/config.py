@@ -137,13 +137,13 @@ def configure(
     if values["solver"].get("scheme") == "paper" and "damping" in entry.options.model_fields:
         # The paper's scheme has its internal damping (25), unless another is asked for.
         values["options"].setdefault("damping", "paper")
-    options = _validated(entry.options, values["options"]).model_dump()
+    options = validated(entry.options, values["options"]).model_dump()
     parts = {
         "options": options,
-        "material": _validated(MaterialOptions, values["material"]),
-        "solver": _validated(SolverOptions, values["solver"]),
+        "material": validated(MaterialOptions, values["material"]),
+        "solver": validated(SolverOptions, values["solver"]),
     }
-    config = _validated(RunConfig, {**top, **parts})
+    config = validated(RunConfig, {**top, **parts})
     last = entry.lasts(config.options)
     if config.t_end >= last:
         raise ConfigError(
@@ -188,7 +188,8 @@ def _nearest(name: str, known) -> str:
     return f"; choose one of {', '.join(sorted(known))}."
 
 
-def _validated(model: type[BaseModel], values: Mapping[str, Any]) -> Any:
+def validated(model: type[BaseModel], values: Mapping[str, Any]) -> Any:
+    """A model of values. **Raises:** `ConfigError` that names the first one that cannot be."""
     try:
         return model(**values)
     except ValidationError as error:

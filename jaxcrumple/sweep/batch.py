@@ -16,7 +16,7 @@ from jaxcrumple.scenes import Setup
 from jaxcrumple.simulate import MOST_WAITS, RESULT_NAMES
 from jaxcrumple.start import check_gap, check_start, pierced
 from jaxcrumple.state import RESULTS, State, initial_state
-from jaxcrumple.sweep.cases import Case
+from jaxcrumple.sweep.cases import Case, blamed
 from jaxcrumple.sweep.lanes import AXIS, Inputs, advance, differing, lane, lanes_of, stacked
 from jaxcrumple.sweep.table import Measure, Outcome, Tell, measured
 from jaxcrumple.threads import limited_blas
@@ -46,7 +46,7 @@ def run_batch(
             for index, state in batch.arrived():
                 frames[index].append(measured(measure, batch.setups[index], state))
             for index in batch.ended():
-                tell(cases[index].values, batch.results[index])
+                tell(cases[index].name, batch.results[index])
     states = jax.device_get(batch.states)
     return [Outcome(batch.results[i], lane(states, i), frames[i]) for i in range(len(cases))]
 
@@ -132,12 +132,12 @@ class _Batch:
 def _checked(cases: Sequence[Case], setups: Sequence[Setup], states: Sequence[State]) -> list[Scene]:
     """Scenes of the cases with their lists of contact, and starts from which motion leads on."""
     for case, setup, state in zip(cases, setups, states, strict=True):
-        with case.blamed():
+        with blamed(case.name):
             check_start(setup.scene, state)
     differing([(setup.scene, case.solver) for case, setup in zip(cases, setups, strict=True)])
     scenes = batch_with_contacts([setup.scene for setup in setups], states)
     for case, scene, state in zip(cases, scenes, states, strict=True):
         if scene.contact is not None:
-            with case.blamed():
+            with blamed(case.name):
                 check_gap(scene, state)
     return scenes

@@ -29,7 +29,7 @@ class Case(NamedTuple):
 
         **Raises:** ValueError that names the case.
         """
-        with self.blamed():
+        with blamed(self.name):
             if isinstance(self.scene, RunConfig):
                 return self.scene.build()
             setup = self.scene(**self.arguments)
@@ -37,37 +37,38 @@ class Case(NamedTuple):
                 raise ValueError(f"the scene's function must return a jaxcrumple.Setup, not {setup!r}.")
             return setup
 
-    @contextmanager
-    def blamed(self) -> Iterator[None]:
-        """Say of a ValueError raised inside whose it is."""
-        try:
-            yield
-        except ValueError as error:
-            raise ValueError(f"{self.name}: {error}") from error
-
     @property
     def name(self) -> str:
         """The case in words, e.g. "thickness=0.0001,yield_curvature=200"."""
         return named(self.values)
 
 
+@contextmanager
+def blamed(name: str) -> Iterator[None]:
+    """Say of a ValueError raised inside which case it is of."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from error
+
+
 def named(values: Mapping[str, Any]) -> str:
     """Names and values in words."""
-    words = (
-        f"{key}={value:g}" if isinstance(value, float) else f"{key}={value}" for key, value in values.items()
-    )
-    return ",".join(words)
+    return ",".join(f"{key}={value}" for key, value in values.items())
 
 
-def checked_grid(over: Mapping[str, Iterable[Any]]) -> Grid:
+def checked_grid(over: Mapping[str, Iterable[Any]], settings: Mapping[str, Any]) -> Grid:
     """Values by name as lists.
 
-    **Raises:** ValueError for no name, no value, one given twice, or what is neither a number nor a word.
+    **Raises:** ValueError for no name, one that is among the `settings` as well, no value, one given twice,
+    or what is neither a number nor a word.
     """
-    grid = {key: list(np.asarray(values, object).ravel()) for key, values in over.items()}
-    if not grid:
+    if not over:
         raise ValueError("over = {} names nothing to vary; give e.g. over={'thickness': [1e-4, 2e-4]}.")
-    for key, values in grid.items():
+    found = {key: np.asarray(values, object).ravel().tolist() for key, values in over.items()}
+    for key, values in found.items():
+        if key in settings:
+            raise ValueError(f"{key!r} is given in over and in settings; leave one out.")
         if not values:
             raise ValueError(f"over[{key!r}] has no value; give at least one.")
         for value in values:
@@ -78,19 +79,35 @@ def checked_grid(over: Mapping[str, Iterable[Any]]) -> Grid:
                 )
         if len(set(values)) < len(values):
             raise ValueError(f"over[{key!r}] = {values} has a value twice; leave one out.")
-    return grid
+    return found
 
 
-def product(grid: Grid) -> list[dict[str, Any]]:
+def product(grid_: Grid) -> list[dict[str, Any]]:
     """All combinations of a grid, the last name's values in turn first."""
-    return [dict(zip(grid, values, strict=True)) for values in itertools.product(*grid.values())]
+    return [dict(zip(grid_, values, strict=True)) for values in itertools.product(*grid_.values())]
 
 
-def configured(scene: str, values: Mapping[str, Any], *, t_end: float | None = None) -> RunConfig:
-    """Configuration of a named scene, with `nodes` and `seed` among the values of its options.
+def grid(
+    scene: str,
+    over: Mapping[str, Iterable[Any]],
+    settings: Mapping[str, Any] | None = None,
+    *,
+    t_end: float | None = None,
+) -> dict[str, RunConfig]:
+    """Configurations of a named scene for every combination of some of its numbers, by name, for `campaign`.
 
-    **Raises:** `ConfigError` for an unknown name or an impossible value.
+    **Arguments:** `over`: values by name, of any option of scene, material or solver, `frames`, `nodes` and
+    `seed`; `settings`: what all have in common; `t_end` in s, by default the scene's own.
+
+    **Raises:** ValueError for an unknown name or an impossible value.
     """
+    combinations = product(checked_grid(over, settings or {}))
+    return {
+        named(values): _configured(scene, {**(settings or {}), **values}, t_end) for values in combinations
+    }
+
+
+def _configured(scene: str, values: Mapping[str, Any], t_end: float | None) -> RunConfig:
     settings = dict(values)
     top = {key: settings.pop(key) for key in ("nodes", "seed") if key in settings}
     return configure(scene, t_end=t_end, settings=settings, **top)
@@ -108,20 +125,15 @@ def cases_of(
 
     **Raises:** ValueError for an impossible grid or value, and for what is given twice.
     """
-    grid = checked_grid(over)
-    twice = [key for key in grid if key in settings]
-    if twice:
-        raise ValueError(f"{twice[0]!r} is given in over and in settings; leave one out.")
-    combinations = product(grid)
+    combinations = product(checked_grid(over, settings))
     if not isinstance(scene, str):
         solver = integrator(linear=linear) if solver is None else solver
         return [Case(values, scene, {**settings, **values}, solver) for values in combinations]
     if solver is not None:
-        raise ValueError(
-            "a named scene has its solver in settings, e.g. settings={'rtol': 1e-3}; leave solver out."
-        )
+        raise ValueError("a named scene has rtol, scheme and linear among its settings; leave solver out.")
     cases = []
     for values in combinations:
-        config = configured(scene, {"linear": linear, **settings, **values}, t_end=t_end)
+        with blamed(named(values)):
+            config = _configured(scene, {"linear": linear, **settings, **values}, t_end)
         cases.append(Case(values, config, {}, config.solver.build()))
     return cases

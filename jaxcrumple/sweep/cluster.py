@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import jax
-from distributed import Client, Scheduler, SpecCluster, WorkerPlugin, as_completed
+from distributed import Client, Future, Scheduler, SpecCluster, WorkerPlugin, as_completed
 from distributed.deploy.subprocess import SubprocessWorker
 
 # A cluster of Dask, a client of one, its scheduler's address, or None for workers on this machine.
@@ -75,19 +75,21 @@ def _local(workers: int) -> SpecCluster:
     )
 
 
-def run_all(client: Client, function: Callable[..., Any], jobs: Sequence[tuple]) -> Iterator[tuple[int, Any]]:
-    """Results of `function(*job)` with the jobs' indices, as they come; the first error is raised.
+def run_all(
+    client: Client, function: Callable[..., Any], jobs: Sequence[tuple]
+) -> Iterator[tuple[int, Future]]:
+    """Futures of `function(*job)` that have ended, with the jobs' indices, as they end.
 
-    What a worker that is lost was at is done again by another one.
+    What a lost worker was at is done again by another one. All that is unfinished is cancelled when the
+    caller stops.
     """
     x64 = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]
     waiting = {client.submit(_task, function, job, x64, pure=False): index for index, job in enumerate(jobs)}
     try:
-        for future, result in as_completed(waiting, with_results=True):
+        for future in as_completed(list(waiting)):
+            yield waiting.pop(future), future
             # A result that is known must not be made again when its worker is lost.
-            index = waiting.pop(future)
             future.release()
-            yield index, result
     finally:
         client.cancel(list(waiting))
 

@@ -45,14 +45,14 @@ def differing(inputs: Sequence[Inputs]) -> Inputs:
     **Raises:** ValueError for lanes that have not the same structure and sizes.
     """
     arrays, static = zip(*(eqx.partition(pair, eqx.is_array) for pair in inputs), strict=True)
-    structure = [
-        (jax.tree.structure(tree), [leaf.shape for leaf in jax.tree.leaves(tree)]) for tree in arrays
-    ]
-    if any(one != structure[0] for one in structure) or not all(eqx.tree_equal(s, static[0]) for s in static):
-        raise ValueError(
-            "the members of a batch must be of one mesh and one kind: nodes, seed, terms, scheme and orders "
-            "the same. Vary the others in a sweep of its own, or take backend='processes'."
-        )
+    for other, rest in zip(arrays, static, strict=True):
+        difference = _difference(arrays[0], other)
+        if difference or not eqx.tree_equal(rest, static[0]):
+            raise ValueError(
+                "the members of a batch must be of one mesh and one kind, with the same nodes, seed, scheme "
+                f"and contact_level{difference}; give what differs a sweep of its own, or take "
+                "backend='processes'."
+            )
     mask = jax.tree.map(lambda first, *rest: any(not _same(first, one) for one in rest), *arrays)
     if inputs[0][0].contact is not None:
         mask = eqx.tree_at(
@@ -61,6 +61,19 @@ def differing(inputs: Sequence[Inputs]) -> Inputs:
             replace_fn=lambda lists: jax.tree.map(lambda _: True, lists),
         )
     return mask
+
+
+def _difference(one: Inputs, other: Inputs) -> str:
+    """The first array of another size, in words."""
+    sizes = [
+        {jax.tree_util.keystr(path): leaf.shape for path, leaf in jax.tree_util.tree_leaves_with_path(tree)}
+        for tree in (one, other)
+    ]
+    for name in [*sizes[0], *sizes[1]]:
+        first, second = (these.get(name) for these in sizes)
+        if first != second:
+            return f" (scene{name.removeprefix('[0]')} has sizes {first} and {second})"
+    return ""
 
 
 def _same(one: Any, other: Any) -> bool:

@@ -11,7 +11,7 @@ import xarray as xr
 from jaxcrumple.scenes import Setup
 from jaxcrumple.simulate import simulate
 from jaxcrumple.state import State, initial_state
-from jaxcrumple.sweep.cases import Case
+from jaxcrumple.sweep.cases import Case, blamed
 from jaxcrumple.sweep.cluster import Cluster, connected, run_all
 from jaxcrumple.sweep.table import Measure, Outcome, Tell, measured
 
@@ -36,7 +36,7 @@ def run_case(case: Case, times: np.ndarray, measure: Measure, max_attempts: floa
     frames = _Frames(measure, setup)
     state = initial_state(setup.scene, setup.x)
     budget = None if np.isinf(max_attempts) else int(max_attempts)
-    with case.blamed():
+    with blamed(case.name):
         solution = simulate(
             setup.scene, state, times, solver=case.solver, observers=[frames], max_attempts=budget
         )
@@ -57,12 +57,12 @@ def run_processes(
     """
     outcomes: dict[int, Outcome] = {}
     with connected(cluster, len(cases)) as client:
-        for _ in run_all(client, _check, [(case,) for case in cases]):
-            pass
+        for _, future in run_all(client, _check, [(case,) for case in cases]):
+            future.result()
         jobs: list[Any] = [(case, times, measure, max_attempts) for case in cases]
-        for index, outcome in run_all(client, run_case, jobs):
-            outcomes[index] = outcome
-            tell(cases[index].values, outcome.result)
+        for index, future in run_all(client, run_case, jobs):
+            outcomes[index] = future.result()
+            tell(cases[index].name, outcomes[index].result)
     return [outcomes[index] for index in range(len(cases))]
 
 

@@ -32,7 +32,7 @@ def sweep(
     cluster: Cluster = None,
     devices: Sequence[jax.Device] | None = None,
     max_attempts: int | None = None,
-    tell: Tell = lambda values, result: None,
+    tell: Tell = lambda name, result: None,
 ) -> xr.Dataset:
     """Run a scene for every combination of some of its numbers.
 
@@ -52,7 +52,7 @@ def sweep(
     - `cluster`: of the workers: a cluster or a client of Dask, or the address of a scheduler; by default
       workers on this machine, one to a core.
     - `max_attempts`: step attempts after which a case ends with the result "budget".
-    - `tell`: called with values and result of each case as it ends.
+    - `tell`: called with the name and the result of each case as it ends.
 
     **Returns:** an xarray Dataset over the names in `over`, with `result`, `t_reached`, `steps` and counters
     of each case, and over `time` what was measured, NaN where a case ended before. A case that fails stops
@@ -74,4 +74,4 @@ def sweep(
     else:
         outcomes = run_processes(cases, stops, measure, most, cluster, tell)
     attributes = {"backend": backend, "seconds": time.perf_counter() - start}
-    return table(checked_grid(over), stops, outcomes, attributes)
+    return table(checked_grid(over, {}), stops, outcomes, attributes)

@@ -13,7 +13,7 @@ from jaxcrumple.summary import figures
 from jaxcrumple.sweep.cases import Grid
 
 Measure = Callable[[Setup, State], Mapping[str, Any]]
-Tell = Callable[[dict[str, Any], str], None]
+Tell = Callable[[str, str], None]
 
 # Frames and cases may have other values on other places; what one lacks is NaN.
 _JOINED: Any = {"data_vars": "all", "coords": "minimal", "join": "outer", "compat": "equals"}

@@ -1,0 +1,89 @@
+"""Long campaigns: many runs, each in a folder of its own, of which only what is missing is done."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from filelock import FileLock
+
+from jaxcrumple.config import ConfigError, RunConfig
+from jaxcrumple.io import RunDirectory
+from jaxcrumple.io.atomic import write_bytes
+from jaxcrumple.run import resume_run, start_run, stored_config
+from jaxcrumple.sweep.cases import blamed
+from jaxcrumple.sweep.cluster import Cluster, connected, run_all
+from jaxcrumple.sweep.table import Tell
+
+TABLE = "campaign.csv"
+
+
+def campaign(
+    runs: Mapping[str, RunConfig],
+    folder: str | Path,
+    *,
+    cluster: Cluster = None,
+    tell: Tell = lambda name, result: None,
+) -> pd.DataFrame:
+    """Do the runs that `folder` lacks, side by side, each into the folder of its name.
+
+    Runs save checkpoints as they go. What a lost worker was at goes on from there in another one, and so
+    does what is unfinished when a campaign is started again; what is finished is only read. A run that
+    breaks stops alone: it has the result "error" and its message, and is tried again the next time.
+
+    **Arguments:** `runs`: configurations by name, of `configure` or `grid`; `cluster`: as in `sweep`, whose
+    workers must see `folder`; `tell`: called with name and result of each run as it ends.
+
+    **Returns:** a table with a line for each run, the numbers of its `summary.json`, also in
+    `campaign.csv`.
+
+    **Raises:** ValueError for a folder that holds another run of the same name, or a run that cannot be
+    built, before any of them runs.
+    """
+    place = Path(folder).absolute()
+    for name, config in runs.items():
+        _check_same(name, config, place / name)
+    place.mkdir(parents=True, exist_ok=True)
+    summaries: dict[str, dict[str, Any]] = {}
+    names = list(runs)
+    with connected(cluster, len(names)) as client:
+        unknown = [(name, runs[name]) for name in names if not (place / name).exists()]
+        for _, future in run_all(client, _check, unknown):
+            future.result()
+        for index, future in run_all(client, run_missing, [(runs[name], place / name) for name in names]):
+            error = future.exception()
+            broken = {"result": "error", "message": f"{type(error).__name__}: {error}"}
+            summaries[names[index]] = future.result() if error is None else broken
+            tell(names[index], summaries[names[index]]["result"])
+    table = pd.json_normalize([summaries[name] for name in names]).set_index(pd.Index(names, name="run"))
+    write_bytes(place / TABLE, table.to_csv().encode())
+    return table
+
+
+def run_missing(config: RunConfig, folder: Path) -> dict[str, Any]:
+    """Summary of a run, begun, gone on with or read, whichever is left to do.
+
+    Whoever else is at it is waited for.
+    """
+    locks = folder.parent / ".locks"
+    locks.mkdir(exist_ok=True)
+    with FileLock(locks / folder.name):
+        if not (folder / "run.json").exists():
+            return start_run(config, folder)
+        _check_same(folder.name, config, folder)
+        return RunDirectory.open(folder).read_summary() or resume_run(folder)
+
+
+def _check_same(name: str, config: RunConfig, folder: Path) -> None:
+    if not (folder / "run.json").exists():
+        RunDirectory.check_free(folder)
+    elif stored_config(RunDirectory.open(folder)) != config:
+        raise ConfigError(
+            f"{folder} holds a run with other options than {name!r} asks for; choose another folder or name."
+        )
+
+
+def _check(name: str, config: RunConfig) -> None:
+    """Build a run and drop it."""
+    with blamed(name):
+        config.build()

@@ -1,0 +1,57 @@
+"""Sweeps and campaigns as files in TOML."""
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from jaxcrumple.config import ConfigError, Options, validated
+from jaxcrumple.scenes import SCENES
+
+
+class SweepFile(Options):
+    """A grid of a named scene: what is varied is `over`, what all have in common `settings`.
+
+    `t_end` in s, by default the scene's own; `frames`: how many moments are measured, evenly spaced.
+    """
+
+    scene: str
+    over: dict[str, list[Any]]
+    settings: dict[str, Any] = Field(default_factory=dict)
+    t_end: float | None = Field(None, gt=0, allow_inf_nan=False)
+    frames: int = Field(1, ge=1, le=100_000)
+
+    @property
+    def end(self) -> float:
+        """End time in s."""
+        return SCENES[self.scene].t_end if self.t_end is None else self.t_end
+
+
+def read_sweep(path: str | Path) -> SweepFile:
+    """Read a file of `scene`, `t_end`, `frames`, and tables `settings` and `over`.
+
+    The word none stands for an option's None.
+
+    **Raises:** `ConfigError` for a file that cannot be read, or with unknown or impossible entries.
+    """
+    try:
+        values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path} cannot be read as TOML: {error}") from error
+    try:
+        found = validated(SweepFile, _without_none(values))
+        if found.scene not in SCENES:
+            raise ConfigError(f"scene {found.scene!r} is unknown; choose one of {', '.join(SCENES)}.")
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+    return found
+
+
+def _without_none(value: Any) -> Any:
+    """A tree of TOML in which none is None."""
+    if isinstance(value, dict):
+        return {key: _without_none(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_without_none(entry) for entry in value]
+    return None if isinstance(value, str) and value.lower() == "none" else value
