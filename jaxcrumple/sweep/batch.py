@@ -17,7 +17,7 @@ from jaxcrumple.simulate import MOST_WAITS, RESULT_NAMES
 from jaxcrumple.start import check_gap, check_start, pierced
 from jaxcrumple.state import RESULTS, State, initial_state
 from jaxcrumple.sweep.cases import Case, blamed
-from jaxcrumple.sweep.lanes import AXIS, Inputs, advance, differing, lane, lanes_of, stacked
+from jaxcrumple.sweep.lanes import AXIS, Inputs, advance, differing, lane, lanes_of, spread, stacked
 from jaxcrumple.sweep.table import Measure, Outcome, Tell, measured
 from jaxcrumple.threads import limited_blas
 
@@ -65,7 +65,7 @@ class _Batch:
         # Each device has as many lanes; those beyond the cases repeat the last one, and never start.
         self.spare = -len(cases) % count
         self.own = differing(self._inputs())
-        self.lanes = lanes_of(self._inputs(), self.own)
+        self.lanes = lanes_of(self._inputs(), self.own, self.devices)
         self.states: State = stacked(states + states[-1:] * self.spare)
         size = len(cases) + self.spare
         self.reached, self.waits = np.zeros(size, int), np.zeros(size, int)
@@ -88,7 +88,9 @@ class _Batch:
         made = self._attempts()
         stops = np.where(self.going, self.times[np.minimum(self.reached, len(self.times) - 1)], -np.inf)
         left = self.max_attempts - made
-        self.states = advance(self.lanes, self.states, jnp.asarray(stops), jnp.asarray(left), self.devices)
+        # Placed alike in every call: another placement would compile another program.
+        moving = spread((self.states, jnp.asarray(stops), jnp.asarray(left)), self.devices)
+        self.states = advance(self.lanes, moving, self.devices)
         waited = self.going & (self._attempts() == made) & (left > 0)
         self.waits = np.where(waited, self.waits + 1, 0)
         unfinished = self.going & (np.asarray(self.states.t) < stops)
@@ -99,7 +101,7 @@ class _Batch:
             states = jax.device_get(self.states)
             lanes = [lane(states, index) for index in range(len(self.scenes))]
             self.scenes = batch_with_contacts(self.scenes, lanes)
-            self.lanes = lanes_of(self._inputs(), self.own)
+            self.lanes = lanes_of(self._inputs(), self.own, self.devices)
 
     def arrived(self) -> Iterator[tuple[int, State]]:
         """Lanes that reached their next frame, and their states; they go on to the one after."""
@@ -125,7 +127,7 @@ class _Batch:
     def _end(self, lanes: np.ndarray, result: Any) -> None:
         """Give some of the lanes a result."""
         if np.any(lanes):
-            given = RESULTS.where(jnp.asarray(lanes), result, self.states.result)
+            given = jax.vmap(lambda here, old: RESULTS.where(here, result, old))(lanes, self.states.result)
             self.states = eqx.tree_at(lambda s: s.result, self.states, given)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+import cloudpickle
 import jax
 from distributed import Client, Future, Scheduler, SpecCluster, WorkerPlugin, as_completed
 from distributed.deploy.subprocess import SubprocessWorker
@@ -56,15 +57,15 @@ def _cores() -> list[int]:
 
 
 def _local(workers: int) -> SpecCluster:
-    # Workers import what the caller can, and compile into caches that they do not share: two that write the
-    # same entry at once would damage it.
+    # Workers share no cache of programs: two that write the same entry at once would damage it.
     cache = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
-    environment = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "OMP_NUM_THREADS": "1"}
 
     def worker(index: int) -> dict[str, Any]:
-        own = {} if cache is None else {"JAX_COMPILATION_CACHE_DIR": os.path.join(cache, f"worker-{index}")}
+        environment = {"OMP_NUM_THREADS": "1"}
+        if cache is not None:
+            environment["JAX_COMPILATION_CACHE_DIR"] = os.path.join(cache, f"worker-{index}")
         options = {"nthreads": 1, "name": str(index), "memory_limit": 0, "dashboard": False}
-        options |= {"env": environment | own, "silence_logs": _QUIET}
+        options |= {"env": environment, "silence_logs": _QUIET}
         return {"cls": SubprocessWorker, "options": {"worker_kwargs": options}}
 
     scheduler = {"host": "127.0.0.1", "port": 0, "dashboard": False, "dashboard_address": None}
@@ -84,7 +85,10 @@ def run_all(
     caller stops.
     """
     x64 = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]
-    waiting = {client.submit(_task, function, job, x64, pure=False): index for index, job in enumerate(jobs)}
+    # Packed here, so that what a worker cannot unpack is the job's error and not the worker's end.
+    packed = (cloudpickle.dumps((function, job)) for job in jobs)
+    tasks = [client.submit(_task, data, sys.path, x64, pure=False) for data in packed]
+    waiting = {task: index for index, task in enumerate(tasks)}
     try:
         for future in as_completed(list(waiting)):
             yield waiting.pop(future), future
@@ -94,7 +98,9 @@ def run_all(
         client.cancel(list(waiting))
 
 
-def _task(function: Callable[..., Any], job: tuple, x64: bool) -> Any:
-    """One job, in the precision of the caller."""
+def _task(data: bytes, path: Sequence[str], x64: bool) -> Any:
+    """One job, with the modules and in the precision of the caller."""
+    sys.path.extend(folder for folder in path if folder not in sys.path)
     jax.config.update("jax_enable_x64", x64)
+    function, job = cloudpickle.loads(data)
     return function(*job)

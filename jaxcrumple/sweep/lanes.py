@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.sharding import Mesh as DeviceMesh
-from jax.sharding import PartitionSpec
+from jax.sharding import NamedSharding, PartitionSpec
 
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.integrate import integrate
@@ -80,27 +80,34 @@ def _same(one: Any, other: Any) -> bool:
     return one is other or np.array_equal(np.asarray(one), np.asarray(other), equal_nan=True)
 
 
-def lanes_of(inputs: Sequence[Inputs], mask: Inputs) -> Lanes:
-    """Scenes and solvers as lanes; `mask`: which of their numbers are each lane's own."""
+def lanes_of(inputs: Sequence[Inputs], mask: Inputs, devices: DeviceMesh) -> Lanes:
+    """Scenes and solvers as lanes on devices; `mask`: which of their numbers are each lane's own."""
     own = [eqx.filter(eqx.filter(pair, eqx.is_array), mask) for pair in inputs]
     arrays, static = eqx.partition(inputs[0], eqx.is_array)
-    return Lanes(stacked(own), eqx.combine(eqx.filter(arrays, mask, inverse=True), static))
+    everywhere = NamedSharding(devices, PartitionSpec())
+    shared = jax.device_put(eqx.filter(arrays, mask, inverse=True), everywhere)
+    return Lanes(spread(stacked(own), devices), eqx.combine(shared, static))
+
+
+def spread(tree: Any, devices: DeviceMesh) -> Any:
+    """Stacked arrays with a part of the lanes on each device."""
+    return jax.device_put(tree, NamedSharding(devices, PartitionSpec(AXIS)))
 
 
 @eqx.filter_jit
-def advance(lanes: Lanes, states: State, stops: Array, left: Array, devices: DeviceMesh) -> State:
-    """One call of `integrate` for each lane: to its time of `stops` (lanes,) in s by at most so many attempts
-    as are `left` (lanes,). Each of the `devices` has a part of the lanes, and waits for no other."""
+def advance(lanes: Lanes, moving: tuple[State, Array, Array], devices: DeviceMesh) -> State:
+    """One call of `integrate` for each lane: `moving` are states, times to stop at (lanes,) in s, and
+    attempts (lanes,) that are left. Each of the `devices` has a part of the lanes, and waits for no other."""
     shared, static = eqx.partition(lanes.shared, eqx.is_array)
 
-    def part(own: Any, states: State, stops: Array, left: Array, shared: Any) -> State:
+    def part(own: Any, moving: tuple[State, Array, Array], shared: Any) -> State:
         def one(own: Any, state: State, stop: Array, left: Array) -> State:
             scene, solver = eqx.combine(own, shared, static)
             return integrate(scene, state, stop, solver, left)[0]
 
-        return jax.vmap(one)(own, states, stops, left)
+        return jax.vmap(one)(own, *moving)
 
-    many, all_of_it = PartitionSpec(AXIS), PartitionSpec()
-    specs = (many, many, many, many, all_of_it)
+    many, whole = PartitionSpec(AXIS), PartitionSpec()
+    specs = (many, many, whole)
     mapped = jax.shard_map(part, mesh=devices, in_specs=specs, out_specs=many, check_vma=False)
-    return mapped(lanes.own, states, stops, left, shared)
+    return mapped(lanes.own, moving, shared)

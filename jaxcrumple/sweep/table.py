@@ -65,7 +65,7 @@ def table(
     get there."""
     rows = [_row(times, outcome) for outcome in outcomes]
     lanes = xr.concat(rows, "case", **_JOINED)
-    words = [["none" if value is None else value for value in values] for values in grid.values()]
+    words = [pd.Index(["none" if value is None else value for value in values]) for values in grid.values()]
     index = pd.MultiIndex.from_product(words, names=list(grid))
     lanes = lanes.assign_coords(xr.Coordinates.from_pandas_multiindex(index, "case")).unstack("case")
     # Unstacking sorts; the grid keeps the order it was given in.
