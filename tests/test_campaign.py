@@ -1,0 +1,98 @@
+"""Campaigns: nothing is lost with a worker, and nothing is done twice."""
+
+import os
+import signal
+
+import numpy as np
+import pytest
+
+import jaxcrumple as jc
+from jaxcrumple.run import start_run
+from jaxcrumple.sweep.cluster import connected
+
+SETTINGS = {"nodes": 60, "scheme": "explicit", "frames": 3}
+RISES, LOADS = [0.0015, 0.002], [0.1, 0.15, 0.2, 0.25, 0.3, 0.35]
+RUNS = jc.grid("arch", {"rise": RISES, "load": LOADS}, SETTINGS, t_end=3e-3)
+
+
+def kill(client):
+    """Kill a worker process as a lack of memory does."""
+    process = next(iter(client.run(os.getpid).values()))
+    os.kill(process, signal.SIGKILL)
+
+
+def summaries(folder):
+    """When the summary of each run that has one was written."""
+    return {path.parent.name: path.stat().st_mtime_ns for path in folder.glob("*/summary.json")}
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    """A campaign of 12 runs whose first worker is killed when the third run has ended, its table, what had
+    been finished then, and what the campaign told."""
+    folder = tmp_path_factory.mktemp("campaign") / "runs"
+    told, finished = [], {}
+
+    with connected(None, 2) as client:
+
+        def tell(name, result):
+            told.append((name, result))
+            if len(told) == 3:
+                finished.update(summaries(folder))
+                kill(client)
+
+        table = jc.campaign(RUNS, folder, cluster=client, tell=tell)
+    return folder, table, finished, told
+
+
+def test_a_killed_worker_loses_nothing(campaign):
+    """Every run is there, none that had ended was done again, and each was told once."""
+    folder, table, finished, told = campaign
+    assert list(table.index) == list(RUNS) and len(RUNS) == 12
+    assert np.all(table["result"] == "success") and np.all(table["t_reached"] == 3e-3)
+    assert sorted(told) == sorted((name, "success") for name in RUNS)
+    assert 3 <= len(finished) < 12
+    written = summaries(folder)
+    assert {name: written[name] for name in finished} == finished
+
+
+def test_the_runs_are_those_of_a_campaign_that_nothing_happened_to(campaign, tmp_path):
+    """Bit for bit, wherever the kill came."""
+    folder = campaign[0]
+    for name, config in RUNS.items():
+        start_run(config, tmp_path / name)
+        alone, run = jc.load(tmp_path / name), jc.load(folder / name)
+        np.testing.assert_array_equal(alone.x, run.x)
+        np.testing.assert_array_equal(alone.history, run.history)
+
+
+def test_again_only_what_is_missing_is_done(campaign):
+    folder, table, *_ = campaign
+    before, (first, *_) = summaries(folder), RUNS
+    (folder / first / "summary.json").unlink()
+    more = RUNS | jc.grid("arch", {"rise": [0.0025], "load": [0.1]}, SETTINGS, t_end=3e-3)
+    again = jc.campaign(more, folder)
+    after = summaries(folder)
+    assert {name for name in after if before.get(name) != after[name]} == {first, "rise=0.0025,load=0.1"}
+    assert len(again) == 13 and np.all(again["result"] == "success")
+    np.testing.assert_array_equal(again["energy.bending"][:12], table["energy.bending"])
+
+
+def test_a_folder_of_another_run_is_refused(campaign):
+    folder = campaign[0]
+    name = next(iter(RUNS))
+    other = RUNS[name].model_copy(update={"seed": 7})
+    with pytest.raises(jc.ConfigError, match=r"other options than 'rise=0\.0015,load=0\.1'"):
+        jc.campaign({name: other}, folder)
+
+
+def test_a_run_that_breaks_stops_alone(tmp_path):
+    """Something comes into the place of the second run while the first goes; the next campaign does it."""
+    names = list(RUNS)[:2]
+    runs = {name: RUNS[name] for name in names}
+    with connected(None, 1) as client:
+        table = jc.campaign(runs, tmp_path, cluster=client, tell=lambda *row: (tmp_path / names[1]).touch())
+        assert table["result"].tolist() == ["success", "error"]
+        assert "is a file" in table["message"][names[1]]
+        (tmp_path / names[1]).unlink()
+        assert np.all(jc.campaign(runs, tmp_path, cluster=client)["result"] == "success")
