@@ -29,7 +29,8 @@ def batch(loads=LOADS, **options):
 
 @pytest.fixture(scope="module")
 def swept():
-    """The sweep of all tests as a batch, and how often its program was traced until another one was done."""
+    """The sweep of all tests, its lanes side by side as on an accelerator, and how often its program was
+    traced until another one was done."""
     traces = []
 
     def counted(*args):
@@ -38,6 +39,7 @@ def swept():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(lanes, "integrate", counted)
+        patch.setattr(lanes, "best_side_by_side", lambda device: True)
         table = batch()
         batch((0.15, 0.25, 0.35))
     return table, len(traces)
@@ -65,6 +67,11 @@ def test_a_lane_is_its_single_run_and_other_numbers_compile_nothing(swept, singl
         np.testing.assert_array_equal(here.steps, run.state.counters.steps)
         np.testing.assert_allclose(here.x, run.x, rtol=0, atol=1e-13)
         np.testing.assert_allclose(here.height, run.x[:, :, 2].mean(axis=1), rtol=1e-9)
+
+
+def test_lanes_in_turn_give_the_same_table(swept):
+    """As they go on a CPU."""
+    xr.testing.assert_allclose(batch().drop_attrs(), swept[0].drop_attrs(), rtol=1e-9, atol=1e-13)
 
 
 def weakened(load):

@@ -16,8 +16,9 @@ from jaxcrumple.scenes import Setup
 from jaxcrumple.simulate import MOST_WAITS, RESULT_NAMES
 from jaxcrumple.start import check_gap, check_start, pierced
 from jaxcrumple.state import RESULTS, State, initial_state
+from jaxcrumple.sweep import lanes
 from jaxcrumple.sweep.cases import Case, blamed
-from jaxcrumple.sweep.lanes import AXIS, Inputs, advance, differing, lane, lanes_of, spread, stacked
+from jaxcrumple.sweep.lanes import AXIS, Inputs, differing, lane, lanes_of, spread, stacked
 from jaxcrumple.sweep.table import Measure, Outcome, Tell, measured
 from jaxcrumple.threads import limited_blas
 
@@ -90,7 +91,8 @@ class _Batch:
         left = self.max_attempts - made
         # Placed alike in every call: another placement would compile another program.
         moving = spread((self.states, jnp.asarray(stops), jnp.asarray(left)), self.devices)
-        self.states = advance(self.lanes, moving, self.devices)
+        side_by_side = lanes.best_side_by_side(self.devices.devices[0])
+        self.states = lanes.advance(self.lanes, moving, self.devices, side_by_side)
         waited = self.going & (self._attempts() == made) & (left > 0)
         self.waits = np.where(waited, self.waits + 1, 0)
         unfinished = self.going & (np.asarray(self.states.t) < stops)
@@ -99,8 +101,8 @@ class _Batch:
         listing = self.states.listing
         if listing is not None and np.any(np.asarray(listing.needed)):
             states = jax.device_get(self.states)
-            lanes = [lane(states, index) for index in range(len(self.scenes))]
-            self.scenes = batch_with_contacts(self.scenes, lanes)
+            each = [lane(states, index) for index in range(len(self.scenes))]
+            self.scenes = batch_with_contacts(self.scenes, each)
             self.lanes = lanes_of(self._inputs(), self.own, self.devices)
 
     def arrived(self) -> Iterator[tuple[int, State]]:
@@ -124,10 +126,10 @@ class _Batch:
         counters = self.states.counters
         return np.sum(np.asarray(counters.steps), axis=1) + np.sum(np.asarray(counters.rejected), axis=1)
 
-    def _end(self, lanes: np.ndarray, result: Any) -> None:
+    def _end(self, which: np.ndarray, result: Any) -> None:
         """Give some of the lanes a result."""
-        if np.any(lanes):
-            given = jax.vmap(lambda here, old: RESULTS.where(here, result, old))(lanes, self.states.result)
+        if np.any(which):
+            given = jax.vmap(lambda here, old: RESULTS.where(here, result, old))(which, self.states.result)
             self.states = eqx.tree_at(lambda s: s.result, self.states, given)
 
 

@@ -94,18 +94,28 @@ def spread(tree: Any, devices: DeviceMesh) -> Any:
     return jax.device_put(tree, NamedSharding(devices, PartitionSpec(AXIS)))
 
 
+def best_side_by_side(device: jax.Device) -> bool:
+    """Whether lanes go faster side by side than in turn: a core has nothing to share out."""
+    return device.platform != "cpu"
+
+
 @eqx.filter_jit
-def advance(lanes: Lanes, moving: tuple[State, Array, Array], devices: DeviceMesh) -> State:
+def advance(
+    lanes: Lanes, moving: tuple[State, Array, Array], devices: DeviceMesh, side_by_side: bool
+) -> State:
     """One call of `integrate` for each lane: `moving` are states, times to stop at (lanes,) in s, and
-    attempts (lanes,) that are left. Each of the `devices` has a part of the lanes, and waits for no other."""
+    attempts (lanes,) that are left. Each of the `devices` has a part of the lanes, and waits for no other; it
+    advances them `side_by_side`, or in turn."""
     shared, static = eqx.partition(lanes.shared, eqx.is_array)
 
     def part(own: Any, moving: tuple[State, Array, Array], shared: Any) -> State:
-        def one(own: Any, state: State, stop: Array, left: Array) -> State:
+        def one(lane: tuple[Any, State, Array, Array]) -> State:
+            own, state, stop, left = lane
             scene, solver = eqx.combine(own, shared, static)
             return integrate(scene, state, stop, solver, left)[0]
 
-        return jax.vmap(one)(own, *moving)
+        lanes = (own, *moving)
+        return jax.vmap(one)(lanes) if side_by_side else jax.lax.map(one, lanes)
 
     many, whole = PartitionSpec(AXIS), PartitionSpec()
     specs = (many, many, whole)
