@@ -1,6 +1,6 @@
 """jaxcrumple: a differentiable JAX simulator of thin elastoplastic sheets."""
 
-from jaxcrumple.calibrate import Experiment, Fit, Parameter, calibrate_fold, fit
+from jaxcrumple.calibrate import Experiment, Fit, Parameter, calibrate_fold, calibrate_pattern, fit
 from jaxcrumple.config import ConfigError, configure
 from jaxcrumple.io import CheckpointError, Run, RunDirectoryError, load
 from jaxcrumple.material import Material
@@ -61,6 +61,7 @@ __all__ = [
     "Wall",
     "arch",
     "calibrate_fold",
+    "calibrate_pattern",
     "campaign",
     "cap",
     "configure",

@@ -3,5 +3,14 @@
 from jaxcrumple.calibrate.evaluate import Experiment
 from jaxcrumple.calibrate.fit import Fit, Parameter, fit
 from jaxcrumple.calibrate.fold import FoldCalibration, calibrate_fold
+from jaxcrumple.calibrate.pattern import calibrate_pattern
 
-__all__ = ["Experiment", "Fit", "FoldCalibration", "Parameter", "calibrate_fold", "fit"]
+__all__ = [
+    "Experiment",
+    "Fit",
+    "FoldCalibration",
+    "Parameter",
+    "calibrate_fold",
+    "calibrate_pattern",
+    "fit",
+]

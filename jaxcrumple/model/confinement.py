@@ -29,14 +29,16 @@ TINY = 1e-30
 
 
 class Ramp(eqx.Module):
-    """A number that changes linearly: `start` + `rate` * t. Any callable module of t may replace it."""
+    """A number that changes linearly, `start` + `rate` * t, `until` a time in s from which it is held. Any
+    callable module of t may replace it."""
 
     start: Array = eqx.field(converter=as_float)
     rate: Array = eqx.field(converter=as_float)
+    until: Array | float = eqx.field(default=jnp.inf, converter=as_float)
 
     def __call__(self, t: Array) -> Array:
         """Value at time `t`."""
-        return self.start + self.rate * t
+        return self.start + self.rate * jnp.minimum(t, self.until)
 
 
 def _of_time(value: ArrayLike | Callable[[Array], Array]) -> Callable[[Array], Array]:

@@ -36,6 +36,7 @@ class RadialOptions(BaseModel):
     size: float = Field(0.1, gt=0)
     radius: float = Field(0.071, gt=0)
     speed: float = Field(0.01, gt=0)
+    hold: float | None = Field(None, gt=0, allow_inf_nan=False)
     imperfection: float = Field(25e-6, ge=0)
     sweeps: int = Field(100, ge=0)
     damping: Literal["central", "paper"] = "central"
@@ -96,13 +97,18 @@ class FoldOptions(BaseModel):
     sweeps: int = Field(100, ge=0)
 
 
+def _radial_lasts(options: Mapping[str, Any]) -> float:
+    """When the sphere of `radial` has shrunk to nothing."""
+    return options["radius"] / options["speed"] if options["hold"] is None else math.inf
+
+
 SCENES: dict[str, SceneEntry] = {
     "radial": SceneEntry(
         radial,
         RadialOptions,
         2.6,
         "square sheet in a sphere that shrinks from 7.1 cm at 1 cm/s (Figs. 5, 6, 8)",
-        lasts=lambda options: options["radius"] / options["speed"],
+        lasts=_radial_lasts,
         why_it_ends="when its sphere has shrunk to nothing",
     ),
     "arch": SceneEntry(

@@ -22,6 +22,7 @@ def radial(
     size: float = 0.1,
     radius: float = 0.071,
     speed: float = 0.01,
+    hold: float | None = None,
     imperfection: float = 25e-6,
     sweeps: int = 100,
     damping: str = "central",
@@ -33,14 +34,20 @@ def radial(
     """A square sheet of edge `size` in a sphere that shrinks at `speed`.
 
     **Arguments:** `nodes` of the random mesh made with `seed` and `sweeps` Lloyd sweeps; `size`,
-    `radius` in m; `speed` in m/s; `imperfection`: largest height in m of a smooth, stress-free
-    initial shape; `damping`: "central" or "paper"; `contact`: "penalty", "barrier", or None for a phantom
-    sheet, which passes through itself, with `contact_range` and `contact_level` as in `SelfContact`;
-    `material`: default `Material()`.
+    `radius` in m; `speed` in m/s; `hold`: time in s from which the sphere keeps its radius;
+    `imperfection`: largest height in m of a smooth, stress-free initial shape; `damping`: "central" or
+    "paper"; `contact`: "penalty", "barrier", or None for a phantom sheet, which passes through itself, with
+    `contact_range` and `contact_level` as in `SelfContact`; `material`: default `Material()`.
     """
+    until = np.inf if hold is None else hold
     for name, value in (("size", size), ("radius", radius), ("speed", speed)):
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"{name} = {value!r} must be a positive length (m) or speed (m/s).")
+    if hold is not None and not 0 < hold * speed < radius:
+        raise ValueError(
+            f"hold = {hold!r} s must be a time between 0 and {radius / speed:g} s, when the sphere has "
+            "shrunk to nothing."
+        )
     if not (np.isfinite(imperfection) and imperfection >= 0):
         raise ValueError(f"imperfection = {imperfection!r} m must be zero or positive.")
     if radius < size / np.sqrt(2.0):
@@ -51,7 +58,7 @@ def radial(
     flat = rectangle(size, size, nodes, seed=seed, sweeps=sweeps)
     height = smooth_imperfection(flat.vertices[:, :2], size, imperfection, seed)
     mesh = flat.with_rest_shape(flat.vertices + height[:, None] * np.array([0.0, 0.0, 1.0]))
-    wall = Sphere(jnp.zeros(3), Ramp(as_float(radius), as_float(-speed)))
+    wall = Sphere(jnp.zeros(3), Ramp(as_float(radius), as_float(-speed), as_float(until)))
     touching = None if contact is None else SelfContact(contact, contact_range, contact_level)
     scene = sheet(mesh, material or Material(), walls=[wall], damping=damping, contact=touching)
     return Setup(mesh, scene, jnp.asarray(mesh.vertices), touching)

@@ -1,0 +1,69 @@
+"""Properties of a sheet from patterns of its plastic curvature."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jaxcrumple.calibrate.evaluate import Experiment
+from jaxcrumple.calibrate.fit import Fit, Parameter, fit
+from jaxcrumple.material import Material
+from jaxcrumple.scenes.setup import Setup
+from jaxcrumple.solvers.scheme import Integrator
+from jaxcrumple.state import initial_state
+
+
+def calibrate_pattern(
+    setup: Setup,
+    times: ArrayLike,
+    patterns: ArrayLike,
+    parameters: Mapping[str, Parameter],
+    *,
+    std: float,
+    material: Material | None = None,
+    solver: Integrator | None = None,
+    checkpoint: str | Path | None = None,
+    tell: Callable[[Mapping[str, Any]], None] = lambda row: None,
+) -> Fit:
+    """Numbers of a sheet's material for which its rest curvatures develop as observed.
+
+    Moments of a hold, in which nothing is driven, tell the time scale of the flow from its threshold. A sheet
+    that buckles another way at the start than the observed one tells nothing: start where it does not.
+
+    **Arguments:** `setup`: the sheet, what confines it and where it starts, e.g. of `radial(..., hold=)`;
+    `times` (f,) of the frames in s, and the rest curvatures seen there, `patterns` (f, h), with the standard
+    deviation `std`; `parameters`: fields of `Material` to be found, by name, in SI units; `material`: all
+    others, by default `Material()`; `solver`, `checkpoint`, `tell` as in `fit`.
+
+    **Raises:** ValueError for an elastic sheet, patterns of another shape or not finite, a deviation that is
+    not positive, a name that is no number of a material, or as `fit` does.
+    """
+    material = material or Material()
+    seen, moments = np.asarray(patterns, float), np.atleast_1d(np.asarray(times, float))
+    if setup.scene.plasticity is None:
+        raise ValueError("an elastic sheet leaves no pattern; give its material a yield curvature.")
+    shape = (len(moments), setup.scene.bending.rest_curvature.shape[0])
+    if seen.shape != shape or not np.all(np.isfinite(seen)):
+        raise ValueError(
+            f"patterns of shape {seen.shape} must be finite and {shape}: a row of hinges for each time."
+        )
+    if not (np.isfinite(std) and std > 0):
+        raise ValueError(f"std = {std!r} must be a positive number, the deviation of the patterns.")
+    for name in parameters:
+        if not isinstance(getattr(material, name, None), float):
+            raise ValueError(
+                f"{name!r} is no number of this material; choose e.g. yield_curvature or thickness."
+            )
+
+    def run(values):
+        scene = setup.made_of(replace(material, **values))
+        return scene, initial_state(scene, setup.x)
+
+    def residuals(frames):
+        return ((frames.p - seen) / std).reshape(-1)
+
+    experiment = Experiment(run, moments, residuals)
+    return fit(experiment, parameters, solver=solver, scaled=False, checkpoint=checkpoint, tell=tell)
