@@ -47,8 +47,9 @@ KINDS: dict[str, Callable[[Inputs], Array]] = {
 }
 # Of differences the best is taken, or the first one that is as good as this.
 ENOUGH = 1e-6
-# Relative changes of which differences are taken: of the replay, and of free runs.
-CHANGES, FREE = tuple(10.0 ** -np.arange(0.5, 8.0, 0.5)), (1e-3, 1e-5)
+# Relative changes of which differences are taken: of the replay (the first ones for numbers that do next to
+# nothing, and whose sign does not matter), and of free runs.
+CHANGES, FREE = tuple(10.0 ** np.arange(1.0, -8.0, -0.5)), (1e-3, 1e-5)
 
 
 class Window(NamedTuple):
@@ -127,10 +128,12 @@ def checks(window: Window, free: bool) -> list[Line]:
         way = direction(name, window.inputs)
         reverse = float(jnp.sum(numbers(gradient) * way))
         forward = float(push(eqx.tree_at(numbers, still, way)))
-        differences = [difference(value, name, window.inputs, size) for size in CHANGES]
-        best = min(
-            (abs(found / reverse - 1.0) for found in differences if np.isfinite(found)), default=np.nan
-        )
+        best = np.inf
+        for size in CHANGES:
+            found = difference(value, name, window.inputs, size)
+            best = min(best, abs(found / reverse - 1.0)) if np.isfinite(found) else best
+            if best < ENOUGH:
+                break
         runs = tuple(difference(run, name, window.inputs, size) for size in FREE) if free else ()
         lines.append(Line(name, reverse, abs(forward / reverse - 1.0), float(best), runs))
         print(lines[-1], flush=True)

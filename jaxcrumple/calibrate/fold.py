@@ -4,7 +4,7 @@ import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -46,6 +46,7 @@ def calibrate_fold(
     seed: int = 0,
     std: float = np.deg2rad(1.0),
     start: Parameter | None = None,
+    method: Literal["least-squares", "root"] = "least-squares",
     material: Material | None = None,
     solver: Integrator | None = None,
     checkpoint: str | Path | None = None,
@@ -53,12 +54,12 @@ def calibrate_fold(
 ) -> FoldCalibration:
     """The yield curvature for which the scene `fold` keeps an `angle` in rad between its halves.
 
-    By least squares; and where the angle jumps, since the fold snaps to another shape, by a bracket.
+    By least squares; and where the angle jumps, since the fold snaps to another shape, by a bracket ("root").
 
     **Arguments:** `angle` and its standard deviation `std` in rad; `nodes`, `seed` of the mesh; `start`: the
     yield curvature to start from and its bounds, in 1/m, by default what leaves some 100 degrees;
-    `material`: all but the yield point, by default `Material()`; `solver`: by default
-    `integrator(scheme="dynamic")`; `checkpoint`, `tell` as in `fit`.
+    `method`: which of the two is tried first; `material`: all but the yield point, by default `Material()`;
+    `solver`: by default `integrator(scheme="dynamic")`; `checkpoint`, `tell` as in `fit`.
 
     **Raises:** ValueError for an angle outside (0, pi), or as `fit` does.
     """
@@ -87,8 +88,9 @@ def calibrate_fold(
             "checkpoint": checkpoint or Path(folder) / "fit.jsonl",
             "tell": tell,
         }
-        found = fit(experiment, {YIELD: start}, **options)
-        if abs(found.residuals[0]) > MISSED:
+        if method == "least-squares":
+            found = fit(experiment, {YIELD: start}, **options)
+        if method == "root" or abs(found.residuals[0]) > MISSED:
             found = fit(experiment, {YIELD: start}, method="root", rtol=WIDTH, **options)
     value, deviation = found.values[YIELD], found.std[YIELD]
     c0 = replace(own, yield_curvature=value).discretize(setup.mesh).c0
