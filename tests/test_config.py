@@ -91,6 +91,7 @@ def test_unknown_scenes_are_refused():
         (["radius=0.05"], "radius = 0.05 m leaves the corners of a sheet of size 0.1 m outside; choose at"),
         (["size=inf"], "size = inf must be a positive length"),
         (["imperfection=inf"], "imperfection = inf m must be zero or positive"),
+        (["hold=7.1"], "hold = 7.1 s must be a time between 0 and 7.1 s, when the sphere has shrunk"),
     ],
 )
 def test_impossible_scenes_leave_nothing_on_the_disk(tmp_path, settings, message):
@@ -98,6 +99,12 @@ def test_impossible_scenes_leave_nothing_on_the_disk(tmp_path, settings, message
     with pytest.raises(ValueError, match=message):
         run.start_run(config, tmp_path / "a" / "run")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_sphere_that_holds_may_be_run_for_long():
+    config = configure("radial", nodes=60, t_end=100.0, settings=["hold=1.5", "sweeps=2"])
+    radius = config.build().scene.walls[0].shape.radius
+    assert [float(radius(t)) for t in (0.0, 1.0, 1.5, 100.0)] == pytest.approx([0.071, 0.061, 0.056, 0.056])
 
 
 def test_a_speed_that_is_not_finite_is_refused():

@@ -15,6 +15,9 @@ from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import initial_state
 
+# Root mean square of the residuals in standard deviations from which a minimum is not the one that is sought.
+WRONG = 2.0
+
 
 def calibrate_pattern(
     setup: Setup,
@@ -31,7 +34,8 @@ def calibrate_pattern(
     """Numbers of a sheet's material for which its rest curvatures develop as observed.
 
     Moments of a hold, in which nothing is driven, tell the time scale of the flow from its threshold. A sheet
-    that buckles another way at the start than the observed one tells nothing: start where it does not.
+    that buckles another way than the observed one tells nothing, and a fit may end there, without
+    success: start elsewhere then.
 
     **Arguments:** `setup`: the sheet, what confines it and where it starts, e.g. of `radial(..., hold=)`;
     `times` (f,) of the frames in s, and the rest curvatures seen there, `patterns` (f, h), with the standard
@@ -66,4 +70,9 @@ def calibrate_pattern(
         return ((frames.p - seen) / std).reshape(-1)
 
     experiment = Experiment(run, moments, residuals)
-    return fit(experiment, parameters, solver=solver, scaled=False, checkpoint=checkpoint, tell=tell)
+    found = fit(experiment, parameters, solver=solver, scaled=False, checkpoint=checkpoint, tell=tell)
+    spread = np.sqrt(np.mean(found.residuals**2))
+    if not spread < WRONG:
+        told = f"the patterns are missed by {spread:.3g} standard deviations: start from another place."
+        found = replace(found, success=False, message=told)
+    return found
