@@ -134,6 +134,7 @@ def calibrate_by_fold(
         "angle_deg": math.degrees(found.angle),
         "evaluations": found.fit.evaluations,
         "gradient_evaluations": found.fit.gradient_evaluations,
+        "snaps": found.fit.snaps,
     }
     console.print(
         f"yield curvature {found.yield_curvature:.4g} +- {found.std:.2g} 1/m, c0 = {found.c0:.4g}; the fold "

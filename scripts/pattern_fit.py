@@ -73,15 +73,20 @@ def main() -> None:
                 told = [f"{100 * error:+.2f} ({100 * spread:.2f})" for error, spread in pairs]
                 counts = [str(found.evaluations), str(found.gradient_evaluations)]
                 words = " x ".join(f"{factor:g}" for factor in factors)
-                rows.append([str(seed), words, *told, f"{found.condition:.1f}", *counts])
+                missed = f"{np.sqrt(np.mean(found.residuals**2)):.2f}"
+                rows.append(
+                    [str(seed), words, *told, f"{found.condition:.1f}", *counts, missed, found.success]
+                )
                 print(rows[-1], found.message, flush=True)
                 jax.clear_caches()
         names = [f"{name}: error (deviation), %" for name in HIDDEN]
         head = ["seed", "start: factors", *names, "condition", "runs", "derivatives"]
+        head += ["residual, deviations", "success"]
         hidden = ", ".join(f"{name} = {value:g}" for name, value in HIDDEN.items())
         text = f"{markdown(head, rows)}\n\nn = {nodes}, rtol = {RTOL:g}, hidden: {hidden} (SI)."
         figure = figure_of(rows, np.array(errors), np.array(spreads))
-        worst = dict(zip(HIDDEN, np.abs(errors).max(axis=0).tolist(), strict=True))
+        good = np.array(errors)[[row[-1] for row in rows]]
+        worst = dict(zip(HIDDEN, np.abs(good).max(axis=0).tolist(), strict=True))
         save(opts, f"pattern_fit_{nodes}", text, figure, worst, errors)
 
 

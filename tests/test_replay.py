@@ -11,6 +11,7 @@ import jaxcrumple as jc
 from jaxcrumple.model.geometry import curvature
 from jaxcrumple.model.loads import dead_load
 from jaxcrumple.replay import replay
+from jaxcrumple.replay.snaps import HIGH, MOST, snaps
 from jaxcrumple.state import EXPLICIT, IMPLICIT, QUASISTATIC
 
 COLUMNS, RANGE = (4, 4), 0.5e-3
@@ -83,6 +84,24 @@ def run(request):
         last = jnp.asarray(solution.x[-1])
         assert int(jc.with_contacts(scene, last).contact.gaps(last)[1]) > 0
     return scene, solution
+
+
+def test_a_record_tells_when_the_sheet_snaps():
+    """Three bursts of acceleration in a steady motion, the last two of them one snap."""
+    scene, x = confined()
+    threshold = HIGH * float(scene.length_scale / scene.inertial_time**2)
+    bursts, length = (0.1, 0.3, 0.305), 1e-3
+    t = np.concatenate([np.linspace(0.0, 0.095, 20), np.arange(0.096, 0.4, 1e-4)])
+    for factor, expected in ((1.5, [0.1, 0.3]), (0.5, [])):
+        acceleration = np.zeros_like(t)
+        for burst in bursts:
+            acceleration[(t > burst) & (t <= burst + length)] = factor * threshold
+        v = 0.02 + np.cumsum(acceleration * np.diff(t, prepend=0.0))
+        height = np.cumsum(v * np.diff(t, prepend=0.0))
+        moved = np.asarray(x) + height[:, None, None] * np.array([0.0, 0.0, 1.0])
+        found = snaps(scene, moved, t)
+        assert found.shape == (MOST,)
+        np.testing.assert_allclose(found[np.isfinite(found)], expected, atol=3e-4)
 
 
 def test_a_replay_repeats_the_run(run):

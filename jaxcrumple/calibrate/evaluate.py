@@ -75,8 +75,9 @@ class Evaluations:
 
     @property
     def history(self) -> pd.DataFrame:
-        """A line for each evaluation: its kind, the parameters, half the sum of squares, seconds."""
-        return pd.DataFrame(self.rows, columns=["kind", *self.names, "loss", "seconds"])
+        """A line for each evaluation: its kind, the parameters, half the sum of squares, how many snaps the
+        run goes through, seconds."""
+        return pd.DataFrame(self.rows, columns=["kind", *self.names, "loss", "snaps", "seconds"])
 
     def _run(self, u: np.ndarray) -> np.ndarray:
         scene, state = self.experiment.setup(self.decoded(u))
@@ -117,18 +118,20 @@ class Evaluations:
                 f"the run at {self.decoded(u)} has no derivatives: those of a step are not finite. "
                 "Choose another start, or a smaller rtol."
             )
-        self._keep(kind, u, value, time.perf_counter() - start)
+        record = self.last[1]
+        snaps = 0 if record is None else int(np.sum(np.isfinite(record.snaps)))
+        self._keep(kind, u, value, snaps, time.perf_counter() - start)
         if self.path is not None:
-            line = {"kind": kind, "names": self.names, "u": list(u), "value": value.tolist()}
+            line = {"kind": kind, "names": self.names, "u": list(u), "value": value.tolist(), "snaps": snaps}
             with self.path.open("a") as file:
                 file.write(json.dumps(line) + "\n")
         return value
 
-    def _keep(self, kind: str, u: np.ndarray, value: np.ndarray, seconds: float) -> None:
+    def _keep(self, kind: str, u: np.ndarray, value: np.ndarray, snaps: int, seconds: float) -> None:
         self.known[kind, _key(u)] = value
         loss = 0.5 * float(value @ value) if kind == "residuals" else np.nan
         values = {name: float(number) for name, number in self.decoded(u).items()}
-        self.rows.append({"kind": kind, **values, "loss": loss, "seconds": seconds})
+        self.rows.append({"kind": kind, **values, "loss": loss, "snaps": snaps, "seconds": seconds})
         self.tell(self.rows[-1])
 
     def _read(self, path: Path) -> None:
@@ -140,7 +143,7 @@ class Evaluations:
         for line in map(json.loads, whole.splitlines()):
             if tuple(line["names"]) != self.names:
                 raise ValueError(f"{path} holds a fit of {line['names']}; this one is of {list(self.names)}.")
-            self._keep(line["kind"], np.array(line["u"]), np.array(line["value"]), 0.0)
+            self._keep(line["kind"], np.array(line["u"]), np.array(line["value"]), line["snaps"], 0.0)
 
 
 def _key(u: np.ndarray) -> str:

@@ -34,7 +34,8 @@ class Fit:
 
     `values` and their standard deviations `std` by name; `covariance` (k, k) and `condition`, that of the
     derivatives of the residuals, both by encoded parameters (the logarithm of those on a logarithmic scale);
-    `loss`: half the sum of squares of the `residuals` (m,); `history`: a line for each evaluation, of which
+    `loss`: half the sum of squares of the `residuals` (m,); `snaps`: how many the run at the values goes
+    through, whose instants its derivatives hold fixed; `history`: a line for each evaluation, of which
     `evaluations` are runs and `gradient_evaluations` derivatives; `success` and why it ended, `message`.
     """
 
@@ -44,6 +45,7 @@ class Fit:
     condition: float
     loss: float
     residuals: np.ndarray
+    snaps: int
     history: pd.DataFrame
     evaluations: int
     gradient_evaluations: int
@@ -192,7 +194,8 @@ def _result(evaluations: Evaluations, code: _Code, u, scaled: bool, success: boo
     values = {name: float(value) for name, value in code.decoded(u).items()}
     rate = np.where(code.log, np.array(list(values.values())), 1.0)
     std = dict(zip(values, rate * np.sqrt(np.diag(covariance)), strict=True))
-    kinds = evaluations.history["kind"]
+    history = evaluations.history
+    kinds, best = history["kind"], history["loss"].sub(0.5 * float(residuals @ residuals)).abs().idxmin()
     return Fit(
         values=values,
         std={name: float(value) for name, value in std.items()},
@@ -200,7 +203,8 @@ def _result(evaluations: Evaluations, code: _Code, u, scaled: bool, success: boo
         condition=float(np.linalg.cond(jacobian)),
         loss=0.5 * float(residuals @ residuals),
         residuals=residuals,
-        history=evaluations.history,
+        snaps=int(history["snaps"][best]),
+        history=history,
         evaluations=int((kinds == "residuals").sum()),
         gradient_evaluations=int((kinds != "residuals").sum()),
         success=success,

@@ -8,6 +8,7 @@ from jax import Array
 from jaxcrumple.model.near import Near, doubled, no_neighbors
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.replay.contacts import Lists, make_lists
+from jaxcrumple.replay.snaps import snaps
 from jaxcrumple.solvers.linear import AbstractLinearSolver
 from jaxcrumple.solvers.log import Trail
 from jaxcrumple.solvers.pair import BDFPair
@@ -45,7 +46,7 @@ class Record(eqx.Module):
     `scene` of the run, and the state `start` it began with; `t` (f,) s: times of its frames; `steps`;
     `lists`, and an empty list of sites `near` with room for those of a step, or None without contact;
     `linear` and `rho_infinity` as the run's solver has them, and whether it has `inertia`; `stages`: those
-    in which it made steps.
+    in which it made steps; `snaps` (64,) s: when it began to snap, then infinity.
     """
 
     scene: Scene
@@ -56,6 +57,7 @@ class Record(eqx.Module):
     near: Near | None
     linear: AbstractLinearSolver | None
     rho_infinity: Array
+    snaps: Array
     inertia: bool = eqx.field(static=True)
     stages: tuple[int, ...] = eqx.field(static=True)
 
@@ -94,6 +96,7 @@ class Recorder:
         if not sum(len(trail[0]) for trail in self.trails):
             return None
         x, end, h, stage, order = (np.concatenate(parts) for parts in zip(*self.trails, strict=True))
+        begins = snaps(scene, np.concatenate([[self.start.x], x]), np.append(float(self.start.t), end))
         frame = np.full(len(h), len(self.frames))
         for index, (_, made) in enumerate(self.frames):
             if made:
@@ -117,6 +120,7 @@ class Recorder:
             near=near,
             linear=None if implicit is None else implicit.linear,
             rho_infinity=implicit.rho_infinity if isinstance(implicit, VariableOrder) else jnp.zeros(()),
+            snaps=jnp.asarray(begins),
             inertia=isinstance(implicit, VariableOrder) and implicit.inertia,
             stages=tuple(np.unique(stage).tolist()),
         )

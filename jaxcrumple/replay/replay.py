@@ -44,9 +44,10 @@ def replay(
 
     A function of every number in `scene` and of the positions, velocities and rest curvatures of `start`,
     with derivatives in both modes. They are those of what is computed with all decisions held fixed: of the
-    step sizes, of the instant of a change of stage or of a buckling there is no derivative. All is NaN where
-    a step finds no solution, or the sheet is further than a quarter of a contact range from where it was
-    recorded, or without `solve` the scene is another one.
+    step sizes, of the instant of a change of stage or of a buckling there is no derivative. Beyond the
+    instants in `record.snaps` they follow one way through the snap, among others. All is NaN where a step
+    finds no solution, or the sheet is further than a quarter of a contact range from where it was recorded,
+    or without `solve` the scene is another one.
 
     **Arguments:**
 
