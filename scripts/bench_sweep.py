@@ -107,7 +107,7 @@ def main() -> None:
     head = ["lanes", "way", "s", "over single runs", "success", "before events, over 10 rtol"]
     head += ["energy at the end, median", "largest"]
     cores = len(os.sched_getaffinity(0))
-    text = f"{markdown(head, rows)}\n\nn = {nodes}, rtol = {RTOL:g}, t = {TIMES[-1]:g} s, {cores} of the machine's cores."
+    text = f"{markdown(head, rows)}\n\nn = {nodes}, rtol = {RTOL:g}, t = {TIMES[-1]:g} s, {cores} core(s)."
     save(opts, f"sweep_{nodes}_{jax.default_backend()}", text, None, ratios, rows)
 
 

@@ -1,9 +1,12 @@
 """The gradients of a run of `radial` in all its stages: what `scripts/gradient_check.py` shows."""
 
 import pytest
-from gradient_check import KINDS, checks, recorded_window
+from gradient_check import KINDS, checks, measure, recorded_window
 
 from jaxcrumple.state import STAGES
+
+# What a difference may be off by: relatively, and over the measure, as a replay solves its equations to 1e-12.
+RELATIVE, RESOLVED = 1e-5, 1e-12
 
 
 @pytest.mark.slow
@@ -15,6 +18,10 @@ def test_gradients_are_those_of_the_replay_by_every_kind_of_number():
     assert window.solution.history["contact"].max() > 1e-5
     lines = checks(window, False)
     assert len(lines) == len(KINDS)
+    value = abs(float(measure(window, window.solution)))
     for line in lines:
+        size = abs(line.reverse)
         assert line.forward < 1e-8, line
-        assert line.difference < 1e-5, line
+        assert line.difference * size < max(RELATIVE * size, RESOLVED * value), line
+        # What next to nothing depends on is the exception.
+        assert size > 1e-5 * value or line.kind == "internal damping", line
