@@ -5,7 +5,7 @@ from gradient_check import KINDS, checks, measure, recorded_window
 
 from jaxcrumple.state import STAGES
 
-# What a difference may be off by: relatively, and over the measure, as a replay solves its equations to 1e-12.
+# What a difference may be off by: relatively, and over the measure, for a replay solves its steps to 1e-12.
 RELATIVE, RESOLVED = 1e-5, 1e-12
 
 

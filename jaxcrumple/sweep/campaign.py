@@ -1,10 +1,11 @@
 """Long campaigns: many runs, each in a folder of its own, of which only what is missing is done."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from distributed import Client
 from filelock import FileLock
 
 from jaxcrumple.config import ConfigError, RunConfig
@@ -44,20 +45,30 @@ def campaign(
     for name, config in runs.items():
         _check_same(name, config, place / name)
     place.mkdir(parents=True, exist_ok=True)
-    summaries: dict[str, dict[str, Any]] = {}
-    names = list(runs)
-    with connected(cluster, len(names)) as client:
-        unknown = [(name, runs[name]) for name in names if not (place / name).exists()]
-        for _, future in run_all(client, _check, unknown):
-            future.result()
-        for index, future in run_all(client, run_missing, [(runs[name], place / name) for name in names]):
-            error = future.exception()
-            broken = {"result": "error", "message": f"{type(error).__name__}: {error}"}
-            summaries[names[index]] = future.result() if error is None else broken
-            tell(names[index], summaries[names[index]]["result"])
-    table = pd.json_normalize([summaries[name] for name in names]).set_index(pd.Index(names, name="run"))
+    summaries = {name: _summary(place / name) for name in runs}
+    for name, summary in summaries.items():
+        if summary:
+            tell(name, summary["result"])
+    missing = [name for name, summary in summaries.items() if not summary]
+    if missing:
+        with connected(cluster, len(missing)) as client:
+            for name, summary in _done(client, {name: runs[name] for name in missing}, place):
+                summaries[name] = summary
+                tell(name, summary["result"])
+    table = pd.json_normalize(list(summaries.values())).set_index(pd.Index(list(runs), name="run"))
     write_bytes(place / TABLE, table.to_csv().encode())
     return table
+
+
+def _done(client: Client, runs: Mapping[str, RunConfig], place: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Summaries of runs by name, as they end."""
+    names = list(runs)
+    for _, future in run_all(client, _check, [(name, runs[name]) for name in names]):
+        future.result()
+    for index, future in run_all(client, run_missing, [(runs[name], place / name) for name in names]):
+        error = future.exception()
+        broken = {"result": "error", "message": f"{type(error).__name__}: {error}"}
+        yield names[index], future.result() if error is None else broken
 
 
 def run_missing(config: RunConfig, folder: Path) -> dict[str, Any]:
@@ -71,7 +82,12 @@ def run_missing(config: RunConfig, folder: Path) -> dict[str, Any]:
         if not (folder / "run.json").exists():
             return start_run(config, folder)
         _check_same(folder.name, config, folder)
-        return RunDirectory.open(folder).read_summary() or resume_run(folder)
+        return _summary(folder) or resume_run(folder)
+
+
+def _summary(folder: Path) -> dict[str, Any]:
+    """How a run ended; empty where it has not."""
+    return RunDirectory.open(folder).read_summary() if (folder / "run.json").exists() else {}
 
 
 def _check_same(name: str, config: RunConfig, folder: Path) -> None:

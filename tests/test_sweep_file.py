@@ -1,0 +1,86 @@
+"""Sweeps and campaigns from files, on the command line."""
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from typer.testing import CliRunner
+
+import jaxcrumple as jc
+from jaxcrumple.cli import app
+from jaxcrumple.sweep.file import read_sweep
+
+FILE = """
+scene = "arch"
+t_end = 1e-4
+frames = 2
+
+[settings]
+nodes = 60
+scheme = "explicit"
+
+[over]
+load = [0.2, 0.1]
+max_step = ["none"]
+"""
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "arch.toml"
+    path.write_text(FILE)
+    return path
+
+
+def test_a_file_is_read(file):
+    found = read_sweep(file)
+    assert (found.scene, found.end, found.frames) == ("arch", 1e-4, 2)
+    assert found.over == {"load": [0.2, 0.1], "max_step": [None]}
+
+
+def test_the_command_writes_a_table_and_overwrites_none(file):
+    arguments = ["sweep", str(file), "--backend", "batch"]
+    result = CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    table = xr.load_dataset(file.with_suffix(".nc"), engine="scipy")
+    assert table["load"].values.tolist() == [0.2, 0.1]
+    assert np.all(table.result == "success")
+    np.testing.assert_allclose(table.time, [5e-5, 1e-4])
+    assert np.all(table.energy.sel(term="gravity") == 0.0)
+    with pytest.raises(ValueError, match="exists; give another --out"):
+        CliRunner().invoke(app, arguments, catch_exceptions=False)
+
+
+def test_a_campaign_is_done_once(file, tmp_path):
+    folder = tmp_path / "runs"
+    for _ in range(2):
+        arguments = ["campaign", str(file), "--out", str(folder)]
+        result = CliRunner().invoke(app, arguments, catch_exceptions=False)
+        assert result.exit_code == 0, result.output
+    table = pd.read_csv(folder / "campaign.csv", index_col="run")
+    assert list(table.index) == ["load=0.2,max_step=None", "load=0.1,max_step=None"]
+    assert np.all(table["t_reached"] == 1e-4)
+    assert len(jc.load(folder / table.index[0]).t) == 3
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('scene = "arch"', 'scene = "arc"', "scene 'arc' is unknown"),
+        ('scene = "arch"', "", "scene = .*: Field required"),
+        ("t_end", "t_emd", "t_emd = 0.0001: Extra inputs are not permitted"),
+        ("t_end = 1e-4", "t_end = -1.0", "t_end = -1.0: Input should be greater than 0"),
+        ("load = [0.2, 0.1]", "load = 0.2", "over.load = 0.2: Input should be a valid list"),
+        ("[over]", "[over", "cannot be read as TOML"),
+    ],
+)
+def test_what_cannot_be_is_refused_by_name_of_the_file(file, old, new, message):
+    file.write_text(FILE.replace(old, new))
+    with pytest.raises(jc.ConfigError, match=message) as caught:
+        read_sweep(file)
+    assert str(file) in str(caught.value)
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(jc.ConfigError, match="cannot be read"):
+        read_sweep(tmp_path / "none.toml")
