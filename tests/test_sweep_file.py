@@ -47,6 +47,7 @@ def test_the_command_writes_a_table_and_overwrites_none(file):
     assert np.all(table.result == "success")
     np.testing.assert_allclose(table.time, [5e-5, 1e-4])
     assert np.all(table.energy.sel(term="gravity") == 0.0)
+    assert table.energy.units == "J" and table.crease_length.units == "m"
     with pytest.raises(ValueError, match="exists; give another --out"):
         CliRunner().invoke(app, arguments, catch_exceptions=False)
 

@@ -18,6 +18,8 @@ Tell = Callable[[str, str], None]
 # Frames and cases may have other values on other places; what one lacks is NaN.
 _JOINED: Any = {"data_vars": "all", "coords": "minimal", "join": "outer", "compat": "equals"}
 
+_LENGTHS = ("crease_length", "max_wall_penetration", "min_gap")
+
 
 class Outcome(NamedTuple):
     """What became of a case: `result` in a word, its last `state`, and what was measured at its `frames`."""
@@ -32,8 +34,9 @@ def standard_measure(setup: Setup, state: State) -> dict[str, Any]:
     found = figures(setup, state)
     energy = found.pop("energy")
     found["min_gap"] = np.nan if found["min_gap"] is None else found["min_gap"]
-    terms = xr.DataArray(list(energy.values()), {"term": list(energy)}, "term")
-    return {"energy": terms, **found}
+    lengths = {name: xr.DataArray(found[name], attrs={"units": "m"}) for name in _LENGTHS}
+    terms = xr.DataArray(list(energy.values()), {"term": list(energy)}, "term", attrs={"units": "J"})
+    return {"energy": terms, **found, **lengths}
 
 
 def measured(measure: Measure, setup: Setup, state: State) -> xr.Dataset:
