@@ -154,7 +154,7 @@ def _tell_evaluation(row) -> None:
         console.print(f"yield curvature {value:.5g} 1/m: loss {loss:.3g}, {seconds:.0f} s")
 
 
-SweepPath = Annotated[Path, typer.Argument(help="TOML file: scene, t_end, frames, [settings], [over].")]
+SweepPath = Annotated[Path, typer.Argument(help="TOML file: scene, t_end, frames; tables settings, over.")]
 SchedulerAddress = Annotated[
     str | None, typer.Option(help="Address of a Dask scheduler (default: workers on this machine).")
 ]
@@ -176,6 +176,8 @@ def sweep(
     path = out or file.with_suffix(".nc")
     if path.exists():
         raise ValueError(f"{path} exists; give another --out, or remove it.")
+    if not os.access(path.absolute().parent, os.W_OK):
+        raise ValueError(f"{path.absolute().parent} is no folder that may be written; give another --out.")
     table = sweep(
         asked.scene,
         asked.over,

@@ -2,12 +2,15 @@
 
 import os
 import signal
+import time
 
 import numpy as np
+import psutil
 import pytest
 
 import jaxcrumple as jc
 from jaxcrumple.run import start_run
+from jaxcrumple.sweep import cluster
 from jaxcrumple.sweep.cluster import connected
 
 SETTINGS = {"nodes": 60, "scheme": "explicit", "frames": 3}
@@ -96,3 +99,15 @@ def test_a_run_that_breaks_stops_alone(tmp_path):
         assert "is a file" in table["message"][names[1]]
         (tmp_path / names[1]).unlink()
         assert np.all(jc.campaign(runs, tmp_path, cluster=client)["result"] == "success")
+
+
+def test_workers_that_are_gone_for_good_end_the_wait(monkeypatch):
+    """And do not leave it waiting for ever."""
+    monkeypatch.setattr(cluster, "LOOK", 0.5)
+    with connected(None, 1) as client:
+        jobs = cluster.run_all(client, time.sleep, [(300.0,)])
+        client.wait_for_workers(1)
+        for process in psutil.Process().children(recursive=True):
+            process.kill()
+        with pytest.raises(RuntimeError, match="all worker processes are gone"):
+            next(jobs)

@@ -140,7 +140,7 @@ def test_words_and_none_are_values():
     """A dimension keeps the order it was given in."""
     options = {"settings": SETTINGS | {"load": 0.1}, "measure": positions, "backend": "batch"}
     table = jc.sweep("arch", {"plastic": [False], "max_step": [1e-6, None]}, 1e-5, **options)
-    assert table.max_step.values.tolist() == [1e-6, "none"]
+    assert table.max_step.values.tolist() == ["1e-06", "none"]
     assert table.steps.sum("stage").values[0, 0] >= 10
 
 
@@ -160,6 +160,8 @@ def test_words_and_none_are_values():
         ({"load": [0.1]}, {"solver": jc.integrator()}, "leave solver out"),
         ({"load": [0.1]}, {"backend": "gpu"}, "backend = 'gpu'"),
         ({"load": [0.1]}, {"measure": lambda setup, state: 1.0}, "must return"),
+        ({"load": [0.1]}, {"measure": lambda setup, state: {"steps": 1.0}}, "'steps' of its own"),
+        ({"load": [0.1]}, {"measure": lambda setup, state: {"load": 1.0}}, "'load' of its own"),
     ],
 )
 def test_what_cannot_be_is_refused(over, options, message):

@@ -9,12 +9,16 @@ from typing import Any
 
 import cloudpickle
 import jax
-from distributed import Client, Future, Scheduler, SpecCluster, WorkerPlugin, as_completed
+from distributed import Client, Future, Scheduler, SpecCluster, WorkerPlugin, wait
 from distributed.deploy.subprocess import SubprocessWorker
 
 # A cluster of Dask, a client of one, its scheduler's address, or None for workers on this machine.
 Cluster = Any
 _QUIET = logging.ERROR
+# Workers of this machine listen to it alone, in clusters of this name.
+HOST, LOCAL = "127.0.0.1", "jaxcrumple"
+# Seconds between looks at whether workers of this machine are still there.
+LOOK = 10.0
 
 
 class OneCore(WorkerPlugin):
@@ -64,14 +68,15 @@ def _local(workers: int) -> SpecCluster:
         environment = {"OMP_NUM_THREADS": "1"}
         if cache is not None:
             environment["JAX_COMPILATION_CACHE_DIR"] = os.path.join(cache, f"worker-{index}")
-        options = {"nthreads": 1, "name": str(index), "memory_limit": 0, "dashboard": False}
-        options |= {"env": environment, "silence_logs": _QUIET}
+        options = {"nthreads": 1, "name": str(index), "memory_limit": 0, "env": environment}
+        options |= {"host": HOST, "dashboard_address": f"{HOST}:0", "silence_logs": _QUIET}
         return {"cls": SubprocessWorker, "options": {"worker_kwargs": options}}
 
-    scheduler = {"host": "127.0.0.1", "port": 0, "dashboard": False, "dashboard_address": None}
+    scheduler = {"host": HOST, "port": 0, "dashboard": False, "dashboard_address": f"{HOST}:0"}
     return SpecCluster(
         workers={index: worker(index) for index in range(workers)},
         scheduler={"cls": Scheduler, "options": scheduler},
+        name=f"{LOCAL}-{os.getpid()}",
         silence_logs=_QUIET,
     )
 
@@ -90,12 +95,30 @@ def run_all(
     tasks = [client.submit(_task, data, sys.path, x64, pure=False) for data in packed]
     waiting = {task: index for index, task in enumerate(tasks)}
     try:
-        for future in as_completed(list(waiting)):
-            yield waiting.pop(future), future
-            # A result that is known must not be made again when its worker is lost.
-            future.release()
+        while waiting:
+            for future in _ended(client, list(waiting)):
+                yield waiting.pop(future), future
+                # A result that is known must not be made again when its worker is lost.
+                future.release()
     finally:
         client.cancel(list(waiting))
+
+
+def _ended(client: Client, futures: list[Future]) -> list[Future]:
+    """Futures that have ended; waits for one, or for some time.
+
+    **Raises:** RuntimeError where workers of this machine are lost for good.
+    """
+    try:
+        return list(wait(futures, timeout=LOOK, return_when="FIRST_COMPLETED").done)
+    except TimeoutError:
+        here = client.cluster is not None and client.cluster.name.startswith(LOCAL)
+        if here and not client.scheduler_info(n_workers=-1)["workers"]:
+            raise RuntimeError(
+                "all worker processes are gone and none came back: something ended them, such as a signal or "
+                "a lack of memory. Start again; what campaigns saved is kept."
+            ) from None
+        return []
 
 
 def _task(data: bytes, path: Sequence[str], x64: bool) -> Any:

@@ -11,11 +11,12 @@ from numpy.typing import ArrayLike
 
 from jaxcrumple.simulate import checked_times
 from jaxcrumple.solvers.scheme import Integrator
+from jaxcrumple.state import initial_state
 from jaxcrumple.sweep.batch import run_batch
-from jaxcrumple.sweep.cases import Scenes, cases_of, checked_grid
+from jaxcrumple.sweep.cases import Case, Grid, Scenes, cases_of, checked_grid
 from jaxcrumple.sweep.cluster import Cluster
 from jaxcrumple.sweep.processes import run_processes
-from jaxcrumple.sweep.table import Measure, Tell, standard_measure, table
+from jaxcrumple.sweep.table import Measure, Tell, check_names, measured, standard_measure, table
 
 Backend = Literal["auto", "batch", "processes"]
 
@@ -44,8 +45,9 @@ def sweep(
     - `times`: moments in s at which to measure, increasing, or the end alone.
     - `settings`: what all cases have in common, by name as in `over`.
     - `solver`: for a scene that is a function, by default `integrator()`.
-    - `measure`: function of `Setup` and `State` that returns by name numbers, pairs of dimensions and array,
-      or DataArrays; by default energies, crease length, strains and contacts.
+    - `measure`: function of the case's `Setup` and a `State` that returns by name numbers, pairs of
+      dimensions and array, or DataArrays; by default energies, crease length, strains and contacts. It is
+      tried on the start of the first case before any case runs.
     - `backend`: "batch", all cases as lanes of one program on the `devices` (by default all of the default
       kind), which needs a linear solver that batches; "processes", each case a run in a worker process; or
       "auto": the former where JAX has an accelerator, the latter on a CPU.
@@ -67,6 +69,7 @@ def sweep(
     stops = checked_times(times)
     linear = "two-level" if backend == "batch" else "auto"
     cases = cases_of(scene, over, settings or {}, float(stops[-1]), solver, linear)
+    _try(cases[0], checked_grid(over, {}), measure)
     most = np.inf if max_attempts is None else max_attempts
     start = time.perf_counter()
     if backend == "batch":
@@ -75,3 +78,12 @@ def sweep(
         outcomes = run_processes(cases, stops, measure, most, cluster, tell)
     attributes = {"backend": backend, "seconds": time.perf_counter() - start}
     return table(checked_grid(over, {}), stops, outcomes, attributes)
+
+
+def _try(case: Case, grid: Grid, measure: Measure) -> None:
+    """Measure the start of a case, before any of them runs.
+
+    **Raises:** ValueError for what cannot be built, names that are taken, or whatever `measure` raises.
+    """
+    setup = case.build()
+    check_names(grid, measured(measure, setup, initial_state(setup.scene, setup.x)))

@@ -20,6 +20,21 @@ _JOINED: Any = {"data_vars": "all", "coords": "minimal", "join": "outer", "compa
 
 _LENGTHS = ("crease_length", "max_wall_penetration", "min_gap")
 
+# What every table has.
+RESERVED = (
+    "case",
+    "cause",
+    "linear_iterations",
+    "newton_iterations",
+    "rejected",
+    "result",
+    "stage",
+    "steps",
+    "switches",
+    "t_reached",
+    "time",
+)
+
 
 class Outcome(NamedTuple):
     """What became of a case: `result` in a word, its last `state`, and what was measured at its `frames`."""
@@ -68,12 +83,29 @@ def table(
     get there."""
     rows = [_row(times, outcome) for outcome in outcomes]
     lanes = xr.concat(rows, "case", **_JOINED)
-    words = [pd.Index(["none" if value is None else value for value in values]) for values in grid.values()]
+    words = [pd.Index(_alike(values)) for values in grid.values()]
     index = pd.MultiIndex.from_product(words, names=list(grid))
     lanes = lanes.assign_coords(xr.Coordinates.from_pandas_multiindex(index, "case")).unstack("case")
     # Unstacking sorts; the grid keeps the order it was given in.
     lanes = lanes.reindex(dict(zip(grid, words, strict=True)))
     return lanes.transpose(*grid, "time", ...).assign_attrs(attributes)
+
+
+def _alike(values: Sequence[Any]) -> list[Any]:
+    """Values of one kind, as a file wants them: all words where one is a word or None."""
+    if all(isinstance(value, int | float | np.number) for value in values):
+        return list(values)
+    return ["none" if value is None else str(value) for value in values]
+
+
+def check_names(grid: Grid, measured: xr.Dataset) -> None:
+    """Refuse what would stand in the table twice.
+
+    **Raises:** ValueError that says which name.
+    """
+    for name in (*grid, *measured.variables):
+        if name in RESERVED or (name in grid and name in measured.variables):
+            raise ValueError(f"the table of a sweep has a {name!r} of its own: choose another name.")
 
 
 def _row(times: np.ndarray, outcome: Outcome) -> xr.Dataset:
