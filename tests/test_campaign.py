@@ -30,21 +30,26 @@ def summaries(folder):
 
 
 @pytest.fixture(scope="module")
-def campaign(tmp_path_factory):
+def client():
+    """Two workers of this machine."""
+    with connected(None, 2) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory, client):
     """A campaign of 12 runs whose first worker is killed when the third run has ended, its table, what had
     been finished then, and what the campaign told."""
     folder = tmp_path_factory.mktemp("campaign") / "runs"
     told, finished = [], {}
 
-    with connected(None, 2) as client:
+    def tell(name, result):
+        told.append((name, result))
+        if len(told) == 3:
+            finished.update(summaries(folder))
+            kill(client)
 
-        def tell(name, result):
-            told.append((name, result))
-            if len(told) == 3:
-                finished.update(summaries(folder))
-                kill(client)
-
-        table = jc.campaign(RUNS, folder, cluster=client, tell=tell)
+    table = jc.campaign(RUNS, folder, cluster=client, tell=tell)
     return folder, table, finished, told
 
 
@@ -60,21 +65,22 @@ def test_a_killed_worker_loses_nothing(campaign):
 
 
 def test_the_runs_are_those_of_a_campaign_that_nothing_happened_to(campaign, tmp_path):
-    """Bit for bit, wherever the kill came."""
-    folder = campaign[0]
-    for name, config in RUNS.items():
+    """Bit for bit, wherever the kill came: those that were going then are among the ones after the third."""
+    folder, _, _, told = campaign
+    for name in [name for name, _ in told[3:7]]:
+        config = RUNS[name]
         start_run(config, tmp_path / name)
         alone, run = jc.load(tmp_path / name), jc.load(folder / name)
         np.testing.assert_array_equal(alone.x, run.x)
         np.testing.assert_array_equal(alone.history, run.history)
 
 
-def test_again_only_what_is_missing_is_done(campaign):
+def test_again_only_what_is_missing_is_done(campaign, client):
     folder, table, *_ = campaign
     before, (first, *_) = summaries(folder), RUNS
     (folder / first / "summary.json").unlink()
     more = RUNS | jc.grid("arch", {"rise": [0.0025], "load": [0.1]}, SETTINGS, t_end=3e-3)
-    again = jc.campaign(more, folder)
+    again = jc.campaign(more, folder, cluster=client)
     after = summaries(folder)
     assert {name for name in after if before.get(name) != after[name]} == {first, "rise=0.0025,load=0.1"}
     assert len(again) == 13 and np.all(again["result"] == "success")
@@ -89,16 +95,15 @@ def test_a_folder_of_another_run_is_refused(campaign):
         jc.campaign({name: other}, folder)
 
 
-def test_a_run_that_breaks_stops_alone(tmp_path):
-    """Something comes into the place of the second run while the first goes; the next campaign does it."""
-    names = list(RUNS)[:2]
+def test_a_run_that_breaks_stops_alone(tmp_path, client):
+    """Something comes into the place of the last run while the first goes; the next campaign does it."""
+    names = list(RUNS)[:3]
     runs = {name: RUNS[name] for name in names}
-    with connected(None, 1) as client:
-        table = jc.campaign(runs, tmp_path, cluster=client, tell=lambda *row: (tmp_path / names[1]).touch())
-        assert table["result"].tolist() == ["success", "error"]
-        assert "is a file" in table["message"][names[1]]
-        (tmp_path / names[1]).unlink()
-        assert np.all(jc.campaign(runs, tmp_path, cluster=client)["result"] == "success")
+    table = jc.campaign(runs, tmp_path, cluster=client, tell=lambda *row: (tmp_path / names[2]).touch())
+    assert table["result"].tolist() == ["success", "success", "error"]
+    assert "is a file" in table["message"][names[2]]
+    (tmp_path / names[2]).unlink()
+    assert np.all(jc.campaign(runs, tmp_path, cluster=client)["result"] == "success")
 
 
 def test_workers_that_are_gone_for_good_end_the_wait(monkeypatch):

@@ -22,6 +22,7 @@ def seen():
     return setup, p + std * np.random.default_rng(0).normal(size=p.shape), std
 
 
+@pytest.mark.slow
 def test_a_hidden_sheet_is_found(seen):
     """Within two standard deviations, which are what the noise allows; the residuals are the noise."""
     setup, patterns, std = seen
