@@ -11,6 +11,7 @@ import pytest
 import jaxcrumple as jc
 from jaxcrumple.run import start_run
 from jaxcrumple.sweep import cluster
+from jaxcrumple.sweep.campaign import run_missing
 from jaxcrumple.sweep.cluster import connected
 
 SETTINGS = {"nodes": 60, "scheme": "explicit", "frames": 3}
@@ -85,6 +86,20 @@ def test_again_only_what_is_missing_is_done(campaign, client):
     assert {name for name in after if before.get(name) != after[name]} == {first, "rise=0.0025,load=0.1"}
     assert len(again) == 13 and np.all(again["result"] == "success")
     np.testing.assert_array_equal(again["energy.bending"][:12], table["energy.bending"])
+
+
+def test_a_run_killed_before_it_was_there_is_begun_again(tmp_path):
+    """All it left is the beginning of its first file."""
+    name, config = next(iter(RUNS.items()))
+    folder = tmp_path / name
+    folder.mkdir()
+    (folder / ".run.json.tmp").write_text("{")
+    assert run_missing(config, folder)["result"] == "success"
+    assert not (folder / ".run.json.tmp").exists()
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / ".precious.tmp").touch()
+    with pytest.raises(jc.RunDirectoryError, match="is not empty"):
+        run_missing(config, tmp_path / "other")
 
 
 def test_a_folder_of_another_run_is_refused(campaign):

@@ -83,7 +83,8 @@ class RunDirectory:
         try:
             if path.exists() and not path.is_dir():
                 raise RunDirectoryError(f"{str(path)!r} is a file; choose a new folder for the output")
-            occupied = path.is_dir() and any(path.iterdir())
+            # A kill while run.json was written leaves the beginning of it, which the next one replaces.
+            occupied = path.is_dir() and any(entry.name != ".run.json.tmp" for entry in path.iterdir())
         except OSError as error:
             raise refusal(path, error) from error
         if occupied:
