@@ -45,6 +45,7 @@ def test_a_hidden_sheet_is_found(seen):
     [
         ({"patterns": np.zeros((2, 3))}, "a row of hinges for each time"),
         ({"std": 0.0}, "std = 0.0"),
+        ({"parameters": {}}, "names nothing to find"),
         ({"parameters": {"colour": jc.Parameter(1.0, 0.5, 2.0)}}, "'colour' is no number"),
         ({"parameters": {"yield_c0": jc.Parameter(1.0, 0.5, 2.0)}}, "'yield_c0' is no number"),
     ],

@@ -56,6 +56,8 @@ def calibrate_pattern(
         )
     if not (np.isfinite(std) and std > 0):
         raise ValueError(f"std = {std!r} must be a positive number, the deviation of the patterns.")
+    if not parameters:
+        raise ValueError("parameters = {} names nothing to find; give e.g. thickness and where to start.")
     for name in parameters:
         if not isinstance(getattr(material, name, None), float):
             raise ValueError(

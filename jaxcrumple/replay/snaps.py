@@ -19,7 +19,7 @@ def snaps(scene: Scene, x: np.ndarray, t: np.ndarray) -> np.ndarray:
     found = np.full(MOST, np.inf)
     if len(t) < 3:
         return found
-    h = np.diff(t)
+    h = np.maximum(np.diff(t), np.finfo(float).tiny)
     v = np.diff(x, axis=0) / h[:, None, None]
     a = 2.0 * np.diff(v, axis=0) / (h[1:] + h[:-1])[:, None, None]
     time = float(scene.inertial_time)
