@@ -35,6 +35,11 @@ def refusal(path: Path, error: OSError) -> RunDirectoryError:
     return RunDirectoryError(f"cannot write {str(path)!r}: {cause}; {cure}")
 
 
+def temporary(path: Path) -> Path:
+    """Where the beginning of a file is while it is written."""
+    return path.with_name(f".{path.name}.tmp")
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path in the folder of `path`; on success it becomes `path`, durably and at once.
@@ -44,14 +49,14 @@ def replacing(path: Path) -> Iterator[Path]:
 
     **Raises:** `RunDirectoryError` for an OSError inside.
     """
-    temporary = path.with_name(f".{path.name}.tmp")
+    beginning = temporary(path)
     try:
-        yield temporary
-        _sync(temporary)
-        os.replace(temporary, path)
+        yield beginning
+        _sync(beginning)
+        os.replace(beginning, path)
         _sync_folder(path.parent)
     except BaseException as error:
-        _remove(temporary)
+        _remove(beginning)
         if isinstance(error, OSError):
             raise refusal(path, error) from error
         raise

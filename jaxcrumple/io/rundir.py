@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxcrumple.io import frames as _frames
-from jaxcrumple.io.atomic import RunDirectoryError, refusal, write_json
+from jaxcrumple.io.atomic import RunDirectoryError, refusal, temporary, write_json
 from jaxcrumple.io.frames import Frame
 from jaxcrumple.io.table import Table
 from jaxcrumple.mesh import Mesh
@@ -84,7 +84,9 @@ class RunDirectory:
             if path.exists() and not path.is_dir():
                 raise RunDirectoryError(f"{str(path)!r} is a file; choose a new folder for the output")
             # A kill while run.json was written leaves the beginning of it, which the next one replaces.
-            occupied = path.is_dir() and any(entry.name != ".run.json.tmp" for entry in path.iterdir())
+            occupied = path.is_dir() and any(
+                entry != temporary(path / "run.json") for entry in path.iterdir()
+            )
         except OSError as error:
             raise refusal(path, error) from error
         if occupied:

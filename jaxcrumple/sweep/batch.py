@@ -12,7 +12,6 @@ from jax.sharding import Mesh as DeviceMesh
 
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.renewal import batch_with_contacts
-from jaxcrumple.scenes import Setup
 from jaxcrumple.simulate import MOST_WAITS, RESULT_NAMES
 from jaxcrumple.start import check_gap, check_start, pierced
 from jaxcrumple.state import RESULTS, State, initial_state
@@ -59,13 +58,17 @@ class _Batch:
         self.times, self.max_attempts = times, max_attempts
         self.setups = [case.build() for case in cases]
         states = [initial_state(setup.scene, setup.x) for setup in self.setups]
-        self.scenes = _checked(cases, self.setups, states)
         self.solvers = [case.solver for case in cases]
+        for case, setup, state in zip(cases, self.setups, states, strict=True):
+            with blamed(case.name):
+                check_start(setup.scene, state)
+        scenes = [setup.scene for setup in self.setups]
+        self.own = differing(list(zip(scenes, self.solvers, strict=True)))
+        self.scenes = _listed(cases, scenes, states)
         count = min(len(devices), len(cases))
         self.devices = DeviceMesh(np.array(devices[:count]), (AXIS,))
         # Each device has as many lanes; those beyond the cases repeat the last one, and never start.
         self.spare = -len(cases) % count
-        self.own = differing(self._inputs())
         self.lanes = lanes_of(self._inputs(), self.own, self.devices)
         self.states: State = stacked(states + states[-1:] * self.spare)
         size = len(cases) + self.spare
@@ -87,7 +90,7 @@ class _Batch:
     def advance(self) -> None:
         """One call of the program for all lanes that are going; new lists where they stopped for one."""
         made = self._attempts()
-        stops = np.where(self.going, self.times[np.minimum(self.reached, len(self.times) - 1)], -np.inf)
+        stops = np.where(self.going, self._due, -np.inf)
         left = self.max_attempts - made
         # Placed alike in every call: another placement would compile another program.
         moving = spread((self.states, jnp.asarray(stops), jnp.asarray(left)), self.devices)
@@ -108,8 +111,8 @@ class _Batch:
     def arrived(self) -> Iterator[tuple[int, State]]:
         """Lanes that reached their next frame, and their states; they go on to the one after."""
         sound = self.results == "success"
-        due = self.times[np.minimum(self.reached, len(self.times) - 1)]
-        for index in np.flatnonzero(self.going & sound & (np.asarray(self.states.t) >= due)).tolist():
+        there = np.asarray(self.states.t) >= self._due
+        for index in np.flatnonzero(self.going & sound & there).tolist():
             state = lane(self.states, index)
             yield index, state
             self.reached[index] += 1
@@ -122,6 +125,11 @@ class _Batch:
         self.going = self.going & ~ended
         return np.flatnonzero(ended)
 
+    @property
+    def _due(self) -> np.ndarray:
+        """Time in s of each lane's next frame."""
+        return self.times[np.minimum(self.reached, len(self.times) - 1)]
+
     def _attempts(self) -> np.ndarray:
         counters = self.states.counters
         return np.sum(np.asarray(counters.steps), axis=1) + np.sum(np.asarray(counters.rejected), axis=1)
@@ -133,13 +141,9 @@ class _Batch:
             self.states = eqx.tree_at(lambda s: s.result, self.states, given)
 
 
-def _checked(cases: Sequence[Case], setups: Sequence[Setup], states: Sequence[State]) -> list[Scene]:
-    """Scenes of the cases with their lists of contact, and starts from which motion leads on."""
-    for case, setup, state in zip(cases, setups, states, strict=True):
-        with blamed(case.name):
-            check_start(setup.scene, state)
-    differing([(setup.scene, case.solver) for case, setup in zip(cases, setups, strict=True)])
-    scenes = batch_with_contacts([setup.scene for setup in setups], states)
+def _listed(cases: Sequence[Case], scenes: Sequence[Scene], states: Sequence[State]) -> list[Scene]:
+    """Scenes of the cases with their lists of contact, in which no layers lie in one another."""
+    scenes = batch_with_contacts(scenes, states)
     for case, scene, state in zip(cases, scenes, states, strict=True):
         if scene.contact is not None:
             with blamed(case.name):

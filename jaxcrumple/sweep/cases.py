@@ -115,7 +115,7 @@ def _configured(scene: str, values: Mapping[str, Any], t_end: float | None) -> R
 
 def cases_of(
     scene: Scenes,
-    over: Mapping[str, Iterable[Any]],
+    grid: Grid,
     settings: Mapping[str, Any],
     t_end: float,
     solver: Integrator | None,
@@ -123,9 +123,9 @@ def cases_of(
 ) -> list[Case]:
     """The cases of a sweep; `linear`: the linear solver of those that do not say which.
 
-    **Raises:** ValueError for an impossible grid or value, and for what is given twice.
+    **Raises:** ValueError for an impossible value, or a solver that is given beside a scene's name.
     """
-    combinations = product(checked_grid(over, settings))
+    combinations = product(grid)
     if not isinstance(scene, str):
         solver = integrator(linear=linear) if solver is None else solver
         return [Case(values, scene, {**settings, **values}, solver) for values in combinations]

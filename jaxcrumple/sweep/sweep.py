@@ -68,8 +68,10 @@ def sweep(
         backend = "processes" if jax.default_backend() == "cpu" else "batch"
     stops = checked_times(times)
     linear = "two-level" if backend == "batch" else "auto"
-    cases = cases_of(scene, over, settings or {}, float(stops[-1]), solver, linear)
-    _try(cases[0], checked_grid(over, {}), measure)
+    settings = settings or {}
+    grid = checked_grid(over, settings)
+    cases = cases_of(scene, grid, settings, float(stops[-1]), solver, linear)
+    _try(cases[0], grid, measure)
     most = np.inf if max_attempts is None else max_attempts
     start = time.perf_counter()
     if backend == "batch":
@@ -77,7 +79,7 @@ def sweep(
     else:
         outcomes = run_processes(cases, stops, measure, most, cluster, tell)
     attributes = {"backend": backend, "seconds": time.perf_counter() - start}
-    return table(checked_grid(over, {}), stops, outcomes, attributes)
+    return table(grid, stops, outcomes, attributes)
 
 
 def _try(case: Case, grid: Grid, measure: Measure) -> None:
