@@ -158,16 +158,15 @@ def configure(
 
 
 def pairs(settings: Sequence[str] | Mapping[str, Any]) -> list[tuple[str, Any]]:
-    """Names and values of "key=value" strings; the word none stands for None."""
-    if isinstance(settings, Mapping):
-        return list(settings.items())
-    found = []
-    for text in settings:
+    """Names and values of settings or "key=value" strings; the word none stands for None."""
+    found: list[tuple[str, Any]] = []
+    for text in () if isinstance(settings, Mapping) else settings:
         key, equals, value = text.partition("=")
         if not equals or not key:
             raise ConfigError(f"setting {text!r} must read key=value, e.g. thickness=1e-4.")
-        found.append((key.strip(), None if value.strip().lower() == "none" else value.strip()))
-    return found
+        found.append((key.strip(), value.strip()))
+    named = list(settings.items()) if isinstance(settings, Mapping) else found
+    return [(key, None if str(value).lower() == "none" else value) for key, value in named]
 
 
 def _group(key: str, groups: Mapping[str, type[BaseModel]]) -> str:
@@ -176,8 +175,8 @@ def _group(key: str, groups: Mapping[str, type[BaseModel]]) -> str:
             return name
     if key in ("nodes", "seed", "t_end"):
         flag = key.replace("_", "-")
-        raise ConfigError(f"{key!r} is not a setting: give it as --{flag}, or to `configure` as an argument.")
-    known = ["frames", *(field for model in groups.values() for field in model.model_fields)]
+        raise ConfigError(f"{key!r} is not a setting: give it beside them, on the command line as --{flag}.")
+    known = ["frames", "nodes", "seed", *(field for model in groups.values() for field in model.model_fields)]
     raise ConfigError(f"setting {key!r} is unknown{_nearest(key, known)}")
 
 
@@ -193,8 +192,13 @@ def validated(model: type[BaseModel], values: Mapping[str, Any]) -> Any:
     try:
         return model(**values)
     except ValidationError as error:
-        first = error.errors()[0]
+        # A misspelt name tells more than the one that is missing for it.
+        first = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
         where = ".".join(str(part) for part in first["loc"])
+        if first["type"] == "missing":
+            raise ConfigError(f"{where} is missing; give one.") from error
+        if first["type"] == "extra_forbidden":
+            raise ConfigError(f"{where!r} is unknown{_nearest(where, model.model_fields)}") from error
         place = f"{where} = {first.get('input')!r}: " if where else ""
         optional = where in model.model_fields and NoneType in get_args(model.model_fields[where].annotation)
         said = first["msg"].removeprefix("Value error, ") + (", or none" if optional else "")

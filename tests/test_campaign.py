@@ -5,6 +5,7 @@ import signal
 import time
 
 import numpy as np
+import pandas as pd
 import psutil
 import pytest
 
@@ -79,6 +80,9 @@ def test_the_runs_are_those_of_a_campaign_that_nothing_happened_to(campaign, tmp
 def test_again_only_what_is_missing_is_done(campaign, client):
     folder, table, *_ = campaign
     before, (first, *_) = summaries(folder), RUNS
+    (folder / first / "summary.json").write_text("{")
+    with pytest.raises(jc.RunDirectoryError, match="remove it, and resume"):
+        jc.campaign(RUNS, folder, cluster=client)
     (folder / first / "summary.json").unlink()
     more = RUNS | jc.grid("arch", {"rise": [0.0025], "load": [0.1]}, SETTINGS, t_end=3e-3)
     again = jc.campaign(more, folder, cluster=client)
@@ -86,6 +90,8 @@ def test_again_only_what_is_missing_is_done(campaign, client):
     assert {name for name in after if before.get(name) != after[name]} == {first, "rise=0.0025,load=0.1"}
     assert len(again) == 13 and np.all(again["result"] == "success")
     np.testing.assert_array_equal(again["energy.bending"][:12], table["energy.bending"])
+    one = jc.campaign({first: RUNS[first]}, folder, cluster=client)
+    assert len(one) == 1 and len(pd.read_csv(folder / "campaign.csv")) == 13
 
 
 def test_a_run_killed_before_it_was_there_is_begun_again(tmp_path):
@@ -106,14 +112,37 @@ def test_a_folder_of_another_run_is_refused(campaign):
     folder = campaign[0]
     name = next(iter(RUNS))
     other = RUNS[name].model_copy(update={"seed": 7})
-    with pytest.raises(jc.ConfigError, match=r"other options than 'rise=0\.0015,load=0\.1'"):
+    with pytest.raises(jc.ConfigError, match=r"with seed = 0, but 'rise=0\.0015,load=0\.1' asks for 7"):
         jc.campaign({name: other}, folder)
 
 
+@pytest.mark.parametrize(
+    ("runs", "message"),
+    [
+        ({}, "runs must be configurations"),
+        ({"one": {"scene": "arch"}}, "'one' is a dict"),
+        ({"a/b": next(iter(RUNS.values()))}, "'a/b' has no name that a folder may have"),
+        ({"..": next(iter(RUNS.values()))}, "'..' has no name"),
+        ({"campaign.csv": next(iter(RUNS.values()))}, "'campaign.csv' has no name"),
+    ],
+)
+def test_what_is_no_campaign_is_refused(runs, message, tmp_path):
+    with pytest.raises(jc.ConfigError, match=message):
+        jc.campaign(runs, tmp_path / "runs")
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_file_is_no_folder(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(jc.RunDirectoryError, match="must exist and be a folder"):
+        jc.campaign(RUNS, tmp_path / "file")
+
+
 def test_a_run_that_breaks_stops_alone(tmp_path, client):
-    """Something comes into the place of the last run while the first goes; the next campaign does it."""
+    """Something comes into the place of the last run before it begins; the next campaign does it."""
     names = list(RUNS)[:3]
     runs = {name: RUNS[name] for name in names}
+    start_run(RUNS[names[0]], tmp_path / names[0])
     table = jc.campaign(runs, tmp_path, cluster=client, tell=lambda *row: (tmp_path / names[2]).touch())
     assert table["result"].tolist() == ["success", "success", "error"]
     assert "is a file" in table["message"][names[2]]

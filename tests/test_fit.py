@@ -1,5 +1,6 @@
 """Fits against a closed form: a sheet that falls through air."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import optax
@@ -82,7 +83,7 @@ def test_a_bracket_finds_a_root_without_derivatives():
 
 def test_a_fit_goes_on_from_its_file_to_the_same_answer(found, tmp_path):
     """Cut in the midst of a line."""
-    path, told = tmp_path / "fit.jsonl", []
+    path, told = tmp_path / "new" / "fit.jsonl", []
     whole = falling(checkpoint=path)
     assert whole.values == found.values
     text = path.read_text()
@@ -95,8 +96,35 @@ def test_a_fit_goes_on_from_its_file_to_the_same_answer(found, tmp_path):
         fit(experiment(height(RATE)), {"other": Parameter(1.0, 0.5, 2.0)}, checkpoint=path)
 
 
+def test_a_start_whose_run_fails_is_refused_by_name_of_the_result():
+    def broken(values):
+        scene, state = setup(values)
+        stiffness = scene.membrane.stiffness * jnp.where(values["rate"] > 300.0, jnp.nan, 1.0)
+        return eqx.tree_at(lambda s: s.membrane.stiffness, scene, stiffness), state
+
+    run = Experiment(broken, TIMES, lambda frames: frames.x[-1, 0])
+    with pytest.raises(
+        ValueError, match=r"the run at rate = 400 fails: nonfinite at t = 0 s \(forces are not"
+    ):
+        fit(run, {"rate": Parameter(400.0, 20.0, 2000.0)})
+
+
+def test_bad_files_are_refused(tmp_path):
+    (tmp_path / "fit.jsonl").write_text("a line\n")
+    with pytest.raises(ValueError, match="is no file of a fit"):
+        falling(checkpoint=tmp_path / "fit.jsonl")
+    with pytest.raises(ValueError, match="is a folder"):
+        falling(checkpoint=tmp_path)
+
+
 def test_bad_parameters_are_refused():
     data = height(RATE)
+    with pytest.raises(ValueError, match="names nothing to find"):
+        fit(experiment(data), {})
+    with pytest.raises(ValueError, match="must be a Parameter"):
+        fit(experiment(data), {"rate": (1.0, 0.5, 2.0)})
+    with pytest.raises(ValueError, match="of finite numbers"):
+        fit(experiment(data), {"rate": Parameter(1.0, 0.5, np.inf)})
     with pytest.raises(ValueError, match="between its bounds"):
         fit(experiment(data), {"rate": Parameter(1.0, 2.0, 3.0)})
     with pytest.raises(ValueError, match="positive on a logarithmic"):

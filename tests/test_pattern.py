@@ -44,7 +44,8 @@ def test_a_hidden_sheet_is_found(seen):
     ("change", "message"),
     [
         ({"patterns": np.zeros((2, 3))}, "a row of hinges for each time"),
-        ({"std": 0.0}, "std = 0.0"),
+        ({"std": 0.0}, "must be positive"),
+        ({"std": [0.1, 0.2]}, "one for each of their"),
         ({"parameters": {}}, "names nothing to find"),
         ({"parameters": {"colour": jc.Parameter(1.0, 0.5, 2.0)}}, "'colour' is no number"),
         ({"parameters": {"yield_c0": jc.Parameter(1.0, 0.5, 2.0)}}, "'yield_c0' is no number"),
@@ -56,6 +57,14 @@ def test_what_cannot_be_is_refused(seen, change, message):
     options |= change
     with pytest.raises(ValueError, match=message):
         jc.calibrate_pattern(setup, TIMES, **options, solver=SOLVER)
+
+
+def test_a_setup_says_its_material():
+    setup = jc.radial(60, sweeps=5, contact=None)
+    assert setup.material.thickness == jc.Material().thickness
+    for other in (setup._replace(material=None), setup.scene):
+        with pytest.raises(ValueError, match="a Setup that says its material"):
+            jc.calibrate_pattern(other, TIMES, np.zeros((3, 1)), {}, std=1.0)
 
 
 def test_an_elastic_sheet_leaves_no_pattern():

@@ -151,6 +151,15 @@ def test_words_and_none_are_values():
         ({"load": []}, {}, "no value"),
         ({"load": [0.1, 0.1]}, {}, "a value twice"),
         ({"load": [{}]}, {}, "numbers or words"),
+        ({"load": np.ones((2, 2))}, {}, "numbers or words"),
+        ({"load": [0.1, np.nan]}, {}, "numbers or words"),
+        ([0.1], {}, "over must be a dictionary by name, not list"),
+        ({"load": [0.1]}, {"settings": {"nodse": 60}}, "^setting 'nodse' is unknown; did you mean 'nodes'"),
+        ({"load": [0.1]}, {"settings": {"frames": 3}}, "a sweep measures at its times"),
+        ({"load": [0.1]}, {"cluster": "tcp://127.0.0.1:1"}, "a cluster is for backend='processes'"),
+        ({"load": [0.1]}, {"devices": []}, "leaves no device"),
+        ({"load": [0.1]}, {"devices": jax.devices(), "backend": "processes"}, "devices are for"),
+        ({"load": [0.1]}, {"max_attempts": 0}, "max_attempts = 0"),
         ({"laod": [0.1]}, {}, "did you mean 'load'"),
         ({"load": [0.1, -1.0]}, {}, "load=-1.0: load = -1.0"),
         ({"rise": [0.002, 0.02]}, {}, "rise=0.02: rise = 0.02 m is more than half"),
@@ -160,6 +169,12 @@ def test_words_and_none_are_values():
         ({"load": [0.1]}, {"solver": jc.integrator()}, "leave solver out"),
         ({"load": [0.1]}, {"backend": "gpu"}, "backend = 'gpu'"),
         ({"load": [0.1]}, {"measure": lambda setup, state: 1.0}, "must return"),
+        (
+            {"load": [0.1]},
+            {"measure": lambda setup, state: {"x": state.x}},
+            r"'x' has sizes .* and dimensions \(\)",
+        ),
+        ({"load": [0.1]}, {"measure": lambda setup, state: {"x": ("n", state.x)}}, "and dimensions .'n',"),
         ({"load": [0.1]}, {"measure": lambda setup, state: {"steps": 1.0}}, "'steps' of its own"),
         ({"load": [0.1]}, {"measure": lambda setup, state: {"load": 1.0}}, "'load' of its own"),
     ],
@@ -168,6 +183,45 @@ def test_what_cannot_be_is_refused(over, options, message):
     options = {"settings": SETTINGS, "backend": "batch"} | options
     with pytest.raises(ValueError, match=message):
         jc.sweep("arch", over, 1e-5, **options)
+
+
+@pytest.mark.parametrize(
+    ("scene", "message"),
+    [
+        (3, "not int"),
+        (lambda rise: None, "takes other arguments than load"),
+        (lambda load: 1.0, "load=0.1: .* must return a jaxcrumple.Setup, not float"),
+        ("arhc", "^scene 'arhc' is unknown"),
+    ],
+)
+def test_what_is_no_scene_is_refused(scene, message):
+    with pytest.raises(ValueError, match=message):
+        jc.sweep(scene, {"load": [0.1]}, 1e-5)
+
+
+def test_a_cluster_that_does_not_answer_is_refused():
+    with pytest.raises(ValueError, match="cannot be reached"):
+        jc.sweep("arch", {"load": [0.1]}, 1e-5, settings=SETTINGS, cluster=3)
+
+
+def test_a_case_whose_measure_breaks_on_its_way_stops_alone(swept):
+    """And keeps what was measured before."""
+
+    heights = swept[0].height.isel(time=1).values
+    limit = float(np.mean(np.sort(heights)[:2]))
+
+    def height(setup, state):
+        if jnp.mean(state.x[:, 2]) < limit:
+            raise ZeroDivisionError("too low")
+        return {"height": jnp.mean(state.x[:, 2])}
+
+    fails = heights < limit
+    for backend in ("batch", "processes"):
+        table = batch(measure=height, backend=backend)
+        assert table.result.values.tolist() == ["error" if low else "success" for low in fails]
+        assert np.all(np.isnan(table.height.isel(time=1)) == fails)
+        assert np.all((table.message == "ZeroDivisionError: too low") == fails)
+        np.testing.assert_allclose(table.height.isel(time=0), swept[0].height.isel(time=0), rtol=1e-9)
 
 
 def test_a_worker_refuses_a_case_before_any_runs():

@@ -35,7 +35,7 @@ def file(tmp_path):
 def test_a_file_is_read(file):
     found = read_sweep(file)
     assert (found.scene, found.end, found.frames) == ("arch", 1e-4, 2)
-    assert found.over == {"load": [0.2, 0.1], "max_step": [None]}
+    assert found.over == {"load": [0.2, 0.1], "max_step": ["none"]}
 
 
 def test_the_command_writes_a_table_and_overwrites_none(file):
@@ -59,7 +59,7 @@ def test_a_campaign_is_done_once(file, tmp_path):
         result = CliRunner().invoke(app, arguments, catch_exceptions=False)
         assert result.exit_code == 0, result.output
     table = pd.read_csv(folder / "campaign.csv", index_col="run")
-    assert list(table.index) == ["load=0.2,max_step=None", "load=0.1,max_step=None"]
+    assert list(table.index) == ["load=0.2,max_step=none", "load=0.1,max_step=none"]
     assert np.all(table["t_reached"] == 1e-4)
     assert len(jc.load(folder / table.index[0]).t) == 3
 
@@ -68,11 +68,12 @@ def test_a_campaign_is_done_once(file, tmp_path):
     ("old", "new", "message"),
     [
         ('scene = "arch"', 'scene = "arc"', "scene 'arc' is unknown"),
-        ('scene = "arch"', "", "scene = .*: Field required"),
-        ("t_end", "t_emd", "t_emd = 0.0001: Extra inputs are not permitted"),
+        ('scene = "arch"', "", "scene is missing"),
+        ("t_end", "t_emd", "'t_emd' is unknown; did you mean 't_end'"),
         ("t_end = 1e-4", "t_end = -1.0", "t_end = -1.0: Input should be greater than 0"),
         ("load = [0.2, 0.1]", "load = 0.2", "over.load = 0.2: Input should be a valid list"),
         ("[over]", "[over", "cannot be read as TOML"),
+        ("[over]", "[overs]", "'overs' is unknown; did you mean 'over'"),
     ],
 )
 def test_what_cannot_be_is_refused_by_name_of_the_file(file, old, new, message):

@@ -41,7 +41,7 @@ class Experiment(NamedTuple):
 class Evaluations:
     """Evaluations of one experiment, each made once, and kept in a file as they come.
 
-    **Raises:** ValueError for a file of another fit.
+    **Raises:** ValueError for a file of another fit, or a place that is a folder.
     """
 
     def __init__(
@@ -58,7 +58,9 @@ class Evaluations:
         self.rows: list[dict[str, Any]] = []
         self.known: dict[tuple[str, str], np.ndarray] = {}
         self.last: tuple[str, Record | None] = ("", None)
-        if path is not None and path.exists():
+        self.failures: dict[str, str] = {}
+        self._snaps: dict[str, int] = {}
+        if path is not None:
             self._read(path)
 
     def residuals(self, u: np.ndarray) -> np.ndarray:
@@ -73,6 +75,14 @@ class Evaluations:
         """Derivatives (k,) of half the sum of squares, in reverse mode."""
         return self._once("gradient", u, lambda u: _gradient(self._recorded(u), jnp.asarray(u), self._frozen))
 
+    def trouble(self, u: np.ndarray) -> str:
+        """In words, where and how the run at encoded parameters failed."""
+        return f"the run at {self._told(u)} fails: {self.failures.get(_key(u), 'nothing else is known')}"
+
+    def snaps(self, u: np.ndarray) -> int:
+        """How many snaps the run at encoded parameters goes through."""
+        return self._snaps[_key(u)]
+
     @property
     def history(self) -> pd.DataFrame:
         """A line for each evaluation: its kind, the parameters, half the sum of squares, how many snaps the
@@ -84,6 +94,8 @@ class Evaluations:
         solution = simulate(scene, state, self.experiment.times, solver=self.solver, record=True)
         self.last = (_key(u), solution.record)
         if solution.result != "success":
+            reached = f"{solution.result} at t = {float(solution.state.t):.4g} s"
+            self.failures[_key(u)] = f"{reached} ({solution.message})"
             return np.full(self._size, np.inf)
         x, v, p = (None if a is None else jnp.asarray(a) for a in (solution.x, solution.v, solution.p))
         assert x is not None and v is not None
@@ -115,7 +127,7 @@ class Evaluations:
         value = np.asarray(evaluate(np.asarray(u)))
         if kind != "residuals" and not np.all(np.isfinite(value)):
             raise ValueError(
-                f"the run at {self.decoded(u)} has no derivatives: those of a step are not finite. "
+                f"the run at {self._told(u)} has no derivatives: those of a step are not finite. "
                 "Choose another start, or a smaller rtol."
             )
         record = self.last[1]
@@ -123,26 +135,40 @@ class Evaluations:
         self._keep(kind, u, value, snaps, time.perf_counter() - start)
         if self.path is not None:
             line = {"kind": kind, "names": self.names, "u": list(u), "value": value.tolist(), "snaps": snaps}
+            line["failure"] = self.failures.get(_key(u), "")
             with self.path.open("a") as file:
                 file.write(json.dumps(line) + "\n")
         return value
 
     def _keep(self, kind: str, u: np.ndarray, value: np.ndarray, snaps: int, seconds: float) -> None:
-        self.known[kind, _key(u)] = value
+        self.known[kind, _key(u)], self._snaps[_key(u)] = value, snaps
         loss = 0.5 * float(value @ value) if kind == "residuals" else np.nan
         values = {name: float(number) for name, number in self.decoded(u).items()}
         self.rows.append({"kind": kind, **values, "loss": loss, "snaps": snaps, "seconds": seconds})
         self.tell(self.rows[-1])
 
+    def _told(self, u: np.ndarray) -> str:
+        """The parameters in words."""
+        return ", ".join(f"{name} = {float(value):.6g}" for name, value in self.decoded(u).items())
+
     def _read(self, path: Path) -> None:
-        text = path.read_text()
+        if path.is_dir():
+            raise ValueError(f"{path} is a folder; a fit is kept in a file.")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        text = path.read_text() if path.exists() else ""
         # What follows the last end of a line is from a fit that was killed.
         whole = text[: text.rfind("\n") + 1]
         if whole != text:
             path.write_text(whole)
-        for line in map(json.loads, whole.splitlines()):
+        try:
+            lines = [json.loads(line) for line in whole.splitlines()]
+        except ValueError as error:
+            raise ValueError(f"{path} is no file of a fit ({error}); give another one.") from error
+        for line in lines:
             if tuple(line["names"]) != self.names:
                 raise ValueError(f"{path} holds a fit of {line['names']}; this one is of {list(self.names)}.")
+            if line["failure"]:
+                self.failures[_key(np.array(line["u"]))] = line["failure"]
             self._keep(line["kind"], np.array(line["u"]), np.array(line["value"]), line["snaps"], 0.0)
 
 

@@ -84,16 +84,21 @@ def fit(
     - `checkpoint`: file of all evaluations; a fit that finds one goes on from it to the same answer.
     - `tell`: called with each new line of the history.
 
-    **Raises:** ValueError for bounds that do not hold the start or, on a logarithmic scale, are not positive,
-    for an unknown method, a file of another fit, a first run that fails, or a parameter that does nothing.
+    **Raises:** ValueError for no parameter, bounds that do not hold the start or, on a logarithmic scale,
+    are not positive, for an unknown method, a file of another fit, a first run that fails, or a parameter
+    that does nothing.
     """
+    if not parameters:
+        raise ValueError(
+            "parameters = {} names nothing to find; give e.g. {name: Parameter(start, lower, upper)}."
+        )
     names = tuple(parameters)
     code = _Code(parameters)
     path = None if checkpoint is None else Path(checkpoint)
     evaluations = Evaluations(experiment, code.decoded, names, solver, path, tell)
     first = evaluations.residuals(code.start)
     if not np.all(np.isfinite(first)):
-        raise ValueError(f"the run at the start, {code.decoded(code.start)}, fails: choose another start.")
+        raise ValueError(f"{evaluations.trouble(code.start)}: choose another start.")
     idle = [
         name for name, own in zip(names, evaluations.jacobian(code.start).T, strict=True) if not own.any()
     ]
@@ -117,6 +122,10 @@ class _Code:
 
     def __init__(self, parameters: Mapping[str, Parameter]):
         for name, own in parameters.items():
+            if not (isinstance(own, Parameter) and np.all(np.isfinite(own[:3]))):
+                raise ValueError(
+                    f"{name} = {own!r} must be a Parameter(start, lower, upper) of finite numbers."
+                )
             if not own.lower < own.start < own.upper:
                 raise ValueError(f"{name}: its start must lie between its bounds, but {own}.")
             if own.log and not own.lower > 0:
@@ -177,7 +186,7 @@ def _descent(evaluations: Evaluations, code: _Code, method: optax.GradientTransf
         loss = 0.5 * float(residuals @ residuals)
         best = min(best, (loss, np.asarray(u)), key=lambda pair: pair[0])
         if not np.isfinite(loss):
-            return best[1], False, f"the run at {code.decoded(u)} fails: take shorter steps."
+            return best[1], False, f"{evaluations.trouble(np.asarray(u))}: take shorter steps."
         change, memory = method.update(jnp.asarray(evaluations.gradient(np.asarray(u))), memory, u)
         moved = jnp.clip(optax.apply_updates(u, change), code.lower, code.upper)
         still, u = float(jnp.max(jnp.abs(moved - u))) < rtol, moved
@@ -195,7 +204,7 @@ def _result(evaluations: Evaluations, code: _Code, u, scaled: bool, success: boo
     rate = np.where(code.log, np.array(list(values.values())), 1.0)
     std = dict(zip(values, rate * np.sqrt(np.diag(covariance)), strict=True))
     history = evaluations.history
-    kinds, best = history["kind"], history["loss"].sub(0.5 * float(residuals @ residuals)).abs().idxmin()
+    kinds = history["kind"]
     return Fit(
         values=values,
         std={name: float(value) for name, value in std.items()},
@@ -203,7 +212,7 @@ def _result(evaluations: Evaluations, code: _Code, u, scaled: bool, success: boo
         condition=float(np.linalg.cond(jacobian)),
         loss=0.5 * float(residuals @ residuals),
         residuals=residuals,
-        snaps=int(history["snaps"][best]),
+        snaps=evaluations.snaps(u),
         history=history,
         evaluations=int((kinds == "residuals").sum()),
         gradient_evaluations=int((kinds != "residuals").sum()),

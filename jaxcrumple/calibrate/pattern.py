@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from jaxcrumple.calibrate.evaluate import Experiment
 from jaxcrumple.calibrate.fit import Fit, Parameter, fit
-from jaxcrumple.material import Material
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import initial_state
@@ -25,8 +24,7 @@ def calibrate_pattern(
     patterns: ArrayLike,
     parameters: Mapping[str, Parameter],
     *,
-    std: float,
-    material: Material | None = None,
+    std: ArrayLike,
     solver: Integrator | None = None,
     checkpoint: str | Path | None = None,
     tell: Callable[[Mapping[str, Any]], None] = lambda row: None,
@@ -37,15 +35,22 @@ def calibrate_pattern(
     that buckles another way than the observed one tells nothing, and a fit may end there, without
     success: start elsewhere then.
 
-    **Arguments:** `setup`: the sheet, what confines it and where it starts, e.g. of `radial(..., hold=)`;
-    `times` (f,) of the frames in s, and the rest curvatures seen there, `patterns` (f, h), with the standard
-    deviation `std`; `parameters`: fields of `Material` to be found, by name, in SI units; `material`: all
-    others, by default `Material()`; `solver`, `checkpoint`, `tell` as in `fit`.
+    **Arguments:** `setup`: the sheet and its material, what confines it and where it starts, e.g. of
+    `radial(..., hold=)`; `times` (f,) of the frames in s, and the rest curvatures seen there, `patterns`
+    (f, h), with the standard deviation `std`, one for all or an array like them; `parameters`: fields of
+    the setup's material to be found, by name, in SI units; all others stay; `solver`, `checkpoint`, `tell`
+    as in `fit`.
 
-    **Raises:** ValueError for an elastic sheet, patterns of another shape or not finite, a deviation that is
-    not positive, a name that is no number of a material, or as `fit` does.
+    **Raises:** ValueError for a setup that does not say its material, an elastic sheet, patterns of another
+    shape or not finite, a deviation that is not positive, a name that is no number of the material, or as
+    `fit` does.
     """
-    material = material or Material()
+    material = setup.material if isinstance(setup, Setup) else None
+    if material is None:
+        raise ValueError(
+            "setup must be a Setup that says its material: that of a scene such as jaxcrumple.radial(...), "
+            "or Setup(..., material=)."
+        )
     seen, moments = np.asarray(patterns, float), np.atleast_1d(np.asarray(times, float))
     if setup.scene.plasticity is None:
         raise ValueError("an elastic sheet leaves no pattern; give its material a yield curvature.")
@@ -54,10 +59,12 @@ def calibrate_pattern(
         raise ValueError(
             f"patterns of shape {seen.shape} must be finite and {shape}: a row of hinges for each time."
         )
-    if not (np.isfinite(std) and std > 0):
-        raise ValueError(f"std = {std!r} must be a positive number, the deviation of the patterns.")
-    if not parameters:
-        raise ValueError("parameters = {} names nothing to find; give e.g. thickness and where to start.")
+    deviation = np.asarray(std, float)
+    if not (np.all(np.isfinite(deviation) & (deviation > 0)) and deviation.shape in ((), shape)):
+        raise ValueError(
+            f"std of shape {deviation.shape} must be positive, the deviation of all patterns or one for each "
+            f"of their {shape} numbers."
+        )
     for name in parameters:
         if not isinstance(getattr(material, name, None), float):
             raise ValueError(
@@ -69,7 +76,7 @@ def calibrate_pattern(
         return scene, initial_state(scene, setup.x)
 
     def residuals(frames):
-        return ((frames.p - seen) / std).reshape(-1)
+        return ((frames.p - seen) / deviation).reshape(-1)
 
     experiment = Experiment(run, moments, residuals)
     found = fit(experiment, parameters, solver=solver, scaled=False, checkpoint=checkpoint, tell=tell)

@@ -28,7 +28,7 @@ def refusal(path: Path, error: OSError) -> RunDirectoryError:
         cure = "free some space or choose an output folder on another disk; what was saved before is intact"
     elif error.errno in _FORBIDDEN:
         cure = "choose an output folder you may write to, or change its permissions"
-    elif error.errno in (errno.ENOENT, errno.ENOTDIR):
+    elif error.errno in (errno.ENOENT, errno.ENOTDIR, errno.EEXIST):
         cure = "check the path: its folder must exist and be a folder"
     else:
         cure = "check the disk; what was saved before is intact"

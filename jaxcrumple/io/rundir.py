@@ -205,7 +205,7 @@ class RunDirectory:
     def read_summary(self) -> dict[str, Any]:
         """How the run ended; empty if it has not, or was killed."""
         path = self.path / "summary.json"
-        return _read_json(path) if path.is_file() else {}
+        return _read_json(path, "remove it, and resume the run to write it again") if path.is_file() else {}
 
     def _frame(self, index: int) -> Path:
         return self.path / "frames" / f"{index:05d}.npz"
@@ -233,11 +233,11 @@ def _read_config(path: Path) -> dict[str, Any]:
     return data["config"]
 
 
-def _read_json(path: Path) -> dict[str, Any]:
+def _read_json(path: Path, cure: str = "restore it from a copy") -> dict[str, Any]:
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise RunDirectoryError(f"cannot read {str(path)!r} ({error}); restore it from a copy") from error
+        raise RunDirectoryError(f"cannot read {str(path)!r} ({error}); {cure}") from error
     if not isinstance(data, dict):
-        raise RunDirectoryError(f"{str(path)!r} holds no JSON object; restore it from a copy")
+        raise RunDirectoryError(f"{str(path)!r} holds no JSON object; {cure}")
     return data

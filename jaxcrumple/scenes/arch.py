@@ -57,14 +57,15 @@ def arch(
     mesh = flat.with_rest_shape(x)
     middle = np.flatnonzero(row == row.max() // 2)
     push = np.tile([0.0, 0.0, -load / len(middle)], (len(middle), 1))
+    made_of = sheet_material(material, plastic)
     scene = sheet(
         mesh,
-        sheet_material(material, plastic),
+        made_of,
         prescribed=fixed((row < 2) | (row > row.max() - 2), x),
         extra=[dead_load(middle, push, ramp)],
         damping=damping,
     )
-    return Setup(mesh, scene, jnp.asarray(mesh.vertices))
+    return Setup(mesh, scene, jnp.asarray(mesh.vertices), material=made_of)
 
 
 def strip(nodes: int, length: float, width: float) -> tuple[Mesh, np.ndarray]:

@@ -55,14 +55,15 @@ def cap(
             "a smaller offset or more nodes."
         )
     push = np.outer(weight[loaded] / weight.sum(), [0.0, 0.0, -load])
+    made_of = sheet_material(material, plastic)
     scene = sheet(
         mesh,
-        sheet_material(material, plastic),
+        made_of,
         prescribed=fixed(rim, mesh.vertices),
         extra=[dead_load(loaded, push, ramp)],
         damping=damping,
     )
-    return Setup(mesh, scene, jnp.asarray(mesh.vertices))
+    return Setup(mesh, scene, jnp.asarray(mesh.vertices), material=made_of)
 
 
 def on_sphere(points: np.ndarray, radius: float, rise: float) -> np.ndarray:

@@ -128,7 +128,7 @@ def fold(
     motion = Closing(jnp.asarray(mesh.vertices), as_float(0.0), as_float(times.close))
     grip = Prescribed(jnp.asarray(np.repeat(held[:, None], 3, axis=1)), motion, as_float(times.release))
     scene = sheet(mesh, material, walls=plates(size, gap, times), prescribed=grip)
-    return Setup(mesh, scene, jnp.asarray(mesh.vertices))
+    return Setup(mesh, scene, jnp.asarray(mesh.vertices), material=material)
 
 
 def default_gap(nodes: int, size: float = SIZE) -> float:

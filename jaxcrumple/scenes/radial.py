@@ -60,8 +60,9 @@ def radial(
     mesh = flat.with_rest_shape(flat.vertices + height[:, None] * np.array([0.0, 0.0, 1.0]))
     wall = Sphere(jnp.zeros(3), Ramp(as_float(radius), as_float(-speed), as_float(until)))
     touching = None if contact is None else SelfContact(contact, contact_range, contact_level)
-    scene = sheet(mesh, material or Material(), walls=[wall], damping=damping, contact=touching)
-    return Setup(mesh, scene, jnp.asarray(mesh.vertices), touching)
+    material = material or Material()
+    scene = sheet(mesh, material, walls=[wall], damping=damping, contact=touching)
+    return Setup(mesh, scene, jnp.asarray(mesh.vertices), touching, material)
 
 
 def smooth_imperfection(points: np.ndarray, size: float, amplitude: float, seed: int) -> np.ndarray:

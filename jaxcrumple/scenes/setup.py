@@ -12,13 +12,14 @@ from jaxcrumple.model.scene import Scene, sheet
 
 
 class Setup(NamedTuple):
-    """A scene ready to run: the sheet's `mesh`, the `scene`, where its nodes `x` (n, 3) start, and options of
-    its self-`contact`, if it has any."""
+    """A scene ready to run: the sheet's `mesh`, the `scene`, where its nodes `x` (n, 3) start, options of its
+    self-`contact`, if it has any, and the `material` it is made of, if that is known."""
 
     mesh: Mesh
     scene: Scene
     x: Array
     contact: SelfContact | None = None
+    material: Material | None = None
 
     def made_of(self, material: Material) -> Scene:
         """The scene with the sheet of another material, and walls and contact as they follow from that: a

@@ -7,7 +7,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import xarray as xr
 from jax.sharding import Mesh as DeviceMesh
 
 from jaxcrumple.model.scene import Scene
@@ -18,7 +17,7 @@ from jaxcrumple.state import RESULTS, State, initial_state
 from jaxcrumple.sweep import lanes
 from jaxcrumple.sweep.cases import Case, blamed
 from jaxcrumple.sweep.lanes import AXIS, Inputs, differing, lane, lanes_of, spread, stacked
-from jaxcrumple.sweep.table import Measure, Outcome, Tell, measured
+from jaxcrumple.sweep.table import Frames, Measure, Outcome, Tell
 from jaxcrumple.threads import limited_blas
 
 
@@ -40,15 +39,16 @@ def run_batch(
         )
     with limited_blas():
         batch = _Batch(cases, times, max_attempts, devices)
-        frames: list[list[xr.Dataset]] = [[] for _ in cases]
+        frames = [Frames(measure, setup) for setup in batch.setups]
         while np.any(batch.going):
             batch.advance()
             for index, state in batch.arrived():
-                frames[index].append(measured(measure, batch.setups[index], state))
+                if not frames[index].take(state):
+                    batch.stop(index)
             for index in batch.ended():
-                tell(cases[index].name, batch.results[index])
+                tell(cases[index].name, frames[index].outcome(batch.results[index]).result)
     states = jax.device_get(batch.states)
-    return [Outcome(batch.results[i], lane(states, i), frames[i]) for i in range(len(cases))]
+    return [own.outcome(batch.results[index], lane(states, index)) for index, own in enumerate(frames)]
 
 
 class _Batch:
@@ -119,9 +119,13 @@ class _Batch:
             if self.scenes[index].contact is not None and len(pierced(self.scenes[index], state.x)):
                 self._end(np.arange(len(self.going)) == index, RESULTS.intersected)
 
+    def stop(self, index: int) -> None:
+        """Let a lane go no further."""
+        self.reached[index] = len(self.times)
+
     def ended(self) -> np.ndarray:
         """Lanes that have just ended."""
-        ended = self.going & ((self.results != "success") | (self.reached == len(self.times)))
+        ended = self.going & ((self.results != "success") | (self.reached >= len(self.times)))
         self.going = self.going & ~ended
         return np.flatnonzero(ended)
 

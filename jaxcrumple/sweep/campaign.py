@@ -10,7 +10,7 @@ from filelock import FileLock
 
 from jaxcrumple.config import ConfigError, RunConfig
 from jaxcrumple.io import RunDirectory
-from jaxcrumple.io.atomic import write_bytes
+from jaxcrumple.io.atomic import refusal, write_bytes
 from jaxcrumple.run import resume_run, start_run, stored_config
 from jaxcrumple.sweep.cases import blamed
 from jaxcrumple.sweep.cluster import Cluster, connected, run_all
@@ -35,16 +35,14 @@ def campaign(
     **Arguments:** `runs`: configurations by name, of `configure` or `grid`; `cluster`: as in `sweep`, whose
     workers must see `folder`; `tell`: called with name and result of each run as it ends.
 
-    **Returns:** a table with a line for each run, the numbers of its `summary.json`, also in
-    `campaign.csv`.
+    **Returns:** a table with a line for each run, the numbers of its `summary.json`. The file
+    `campaign.csv` has those of earlier campaigns into the folder as well.
 
-    **Raises:** ValueError for a folder that holds another run of the same name, or a run that cannot be
-    built, before any of them runs.
+    **Raises:** ValueError for a name that is none of a folder, one that holds another run, what is no
+    configuration, or a run that cannot be built, before any of them runs.
     """
     place = Path(folder).absolute()
-    for name, config in runs.items():
-        _check_same(name, config, place / name)
-    place.mkdir(parents=True, exist_ok=True)
+    _check_runs(runs, place)
     summaries = {name: _summary(place / name) for name in runs}
     for name, summary in summaries.items():
         if summary:
@@ -55,9 +53,35 @@ def campaign(
             for name, summary in _done(client, {name: runs[name] for name in missing}, place):
                 summaries[name] = summary
                 tell(name, summary["result"])
-    table = pd.json_normalize(list(summaries.values())).set_index(pd.Index(list(runs), name="run"))
-    write_bytes(place / TABLE, table.to_csv().encode())
-    return table
+    others = {path.parent.name: path.parent for path in sorted(place.glob("*/summary.json"))}
+    earlier = {name: _summary(path) for name, path in others.items() if name not in runs}
+    write_bytes(place / TABLE, _table({**summaries, **earlier}).to_csv().encode())
+    return _table(summaries)
+
+
+def _table(summaries: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
+    """A line for each run."""
+    rows = pd.json_normalize(list(summaries.values()))
+    return rows.set_index(pd.Index(list(summaries), name="run"))
+
+
+def _check_runs(runs: Mapping[str, RunConfig], place: Path) -> None:
+    """Refuse what is no campaign, and make its folder."""
+    if not isinstance(runs, Mapping) or not runs:
+        raise ConfigError("runs must be configurations by name, such as jaxcrumple.grid(...) makes.")
+    for name, config in runs.items():
+        if not isinstance(config, RunConfig):
+            raise ConfigError(
+                f"run {name!r} is a {type(config).__name__}; make its configuration by jaxcrumple.configure."
+            )
+        if not isinstance(name, str) or Path(name).name != name or name.startswith(".") or name == TABLE:
+            raise ConfigError(f"run {name!r} has no name that a folder may have; choose another one.")
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise refusal(place, error) from error
+    for name, config in runs.items():
+        _check_same(name, config, place / name)
 
 
 def _done(client: Client, runs: Mapping[str, RunConfig], place: Path) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -93,10 +117,20 @@ def _summary(folder: Path) -> dict[str, Any]:
 def _check_same(name: str, config: RunConfig, folder: Path) -> None:
     if not (folder / "run.json").exists():
         RunDirectory.check_free(folder)
-    elif stored_config(RunDirectory.open(folder)) != config:
+        return
+    stored = stored_config(RunDirectory.open(folder))
+    if stored != config:
+        here, asked = (_flat(one) for one in (stored, config))
+        option = next(key for key in {**here, **asked} if here.get(key) != asked.get(key))
         raise ConfigError(
-            f"{folder} holds a run with other options than {name!r} asks for; choose another folder or name."
+            f"{folder} holds a run with {option} = {here.get(option)!r}, but {name!r} asks for "
+            f"{asked.get(option)!r}; choose another folder or name."
         )
+
+
+def _flat(config: RunConfig) -> dict[str, Any]:
+    """All options by name."""
+    return pd.json_normalize(config.model_dump()).iloc[0].to_dict()
 
 
 def _check(name: str, config: RunConfig) -> None:

@@ -1,5 +1,6 @@
 """The cases of a sweep: what is asked for, as a grid, checked before any work."""
 
+import inspect
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -7,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxcrumple.config import RunConfig, configure
+from jaxcrumple.config import ConfigError, RunConfig, configure
 from jaxcrumple.scenes import Setup
 from jaxcrumple.solvers.scheme import Integrator, integrator
 
@@ -34,7 +35,9 @@ class Case(NamedTuple):
                 return self.scene.build()
             setup = self.scene(**self.arguments)
             if not isinstance(setup, Setup):
-                raise ValueError(f"the scene's function must return a jaxcrumple.Setup, not {setup!r}.")
+                raise ValueError(
+                    f"the scene's function must return a jaxcrumple.Setup, not {type(setup).__name__}."
+                )
             return setup
 
     @property
@@ -54,7 +57,7 @@ def blamed(name: str) -> Iterator[None]:
 
 def named(values: Mapping[str, Any]) -> str:
     """Names and values in words."""
-    return ",".join(f"{key}={value}" for key, value in values.items())
+    return ",".join(f"{key}={'none' if value is None else value}" for key, value in values.items())
 
 
 def checked_grid(over: Mapping[str, Iterable[Any]], settings: Mapping[str, Any]) -> Grid:
@@ -63,16 +66,19 @@ def checked_grid(over: Mapping[str, Iterable[Any]], settings: Mapping[str, Any])
     **Raises:** ValueError for no name, one that is among the `settings` as well, no value, one given twice,
     or what is neither a number nor a word.
     """
+    for name, given in (("over", over), ("settings", settings)):
+        if not isinstance(given, Mapping):
+            raise ValueError(f"{name} must be a dictionary by name, not {type(given).__name__}.")
     if not over:
         raise ValueError("over = {} names nothing to vary; give e.g. over={'thickness': [1e-4, 2e-4]}.")
-    found = {key: np.asarray(values, object).ravel().tolist() for key, values in over.items()}
+    found = {key: _listed(values) for key, values in over.items()}
     for key, values in found.items():
         if key in settings:
             raise ValueError(f"{key!r} is given in over and in settings; leave one out.")
         if not values:
             raise ValueError(f"over[{key!r}] has no value; give at least one.")
         for value in values:
-            if not (value is None or isinstance(value, str | int | float | np.number)):
+            if not (value is None or isinstance(value, str | int | float)) or value != value:
                 raise ValueError(
                     f"over[{key!r}] holds {value!r}; values must be numbers or words. Vary an index, and "
                     "look up what it stands for in the scene's function."
@@ -80,6 +86,15 @@ def checked_grid(over: Mapping[str, Iterable[Any]], settings: Mapping[str, Any])
         if len(set(values)) < len(values):
             raise ValueError(f"over[{key!r}] = {values} has a value twice; leave one out.")
     return found
+
+
+def _listed(values: Any) -> list[Any]:
+    """Values, an array of them, or one alone, as a list of Python's own numbers."""
+    if hasattr(values, "ndim"):
+        return np.atleast_1d(np.asarray(values)).tolist()
+    several = isinstance(values, Iterable) and not isinstance(values, str)
+    found = list(values) if several else [values]
+    return [value.tolist() if hasattr(value, "ndim") else value for value in found]
 
 
 def product(grid_: Grid) -> list[dict[str, Any]]:
@@ -101,10 +116,31 @@ def grid(
 
     **Raises:** ValueError for an unknown name or an impossible value.
     """
-    combinations = product(checked_grid(over, settings or {}))
-    return {
-        named(values): _configured(scene, {**(settings or {}), **values}, t_end) for values in combinations
-    }
+    settings = {} if settings is None else settings
+    combinations = product(checked_grid(over, settings))
+    configs = _configurations(scene, combinations, settings, t_end)
+    return {named(values): config for values, config in zip(combinations, configs, strict=True)}
+
+
+def _configurations(
+    scene: str, combinations: list[dict[str, Any]], settings: Mapping[str, Any], t_end: float | None
+) -> list[RunConfig]:
+    """Configurations of a named scene.
+
+    **Raises:** ConfigError, which names the case unless what all have in common is to blame.
+    """
+    try:
+        _configured(scene, settings, t_end)
+        common = ""
+    except ConfigError as error:
+        common = str(error)
+    configs = []
+    for values in combinations:
+        try:
+            configs.append(_configured(scene, {**settings, **values}, t_end))
+        except ConfigError as error:
+            raise error if str(error) == common else ConfigError(f"{named(values)}: {error}") from error
+    return configs
 
 
 def _configured(scene: str, values: Mapping[str, Any], t_end: float | None) -> RunConfig:
@@ -123,17 +159,36 @@ def cases_of(
 ) -> list[Case]:
     """The cases of a sweep; `linear`: the linear solver of those that do not say which.
 
-    **Raises:** ValueError for an impossible value, or a solver that is given beside a scene's name.
+    **Raises:** ValueError for an impossible value, what is no scene, or a solver that is given beside a
+    scene's name.
     """
     combinations = product(grid)
     if not isinstance(scene, str):
         solver = integrator(linear=linear) if solver is None else solver
-        return [Case(values, scene, {**settings, **values}, solver) for values in combinations]
+        cases = [Case(values, scene, {**settings, **values}, solver) for values in combinations]
+        _check_callable(scene, cases[0].arguments)
+        return cases
     if solver is not None:
         raise ValueError("a named scene has rtol, scheme and linear among its settings; leave solver out.")
-    cases = []
-    for values in combinations:
-        with blamed(named(values)):
-            config = _configured(scene, {"linear": linear, **settings, **values}, t_end)
-        cases.append(Case(values, config, {}, config.solver.build()))
-    return cases
+    if "frames" in grid or "frames" in settings:
+        raise ConfigError("frames are saved by campaigns; a sweep measures at its times.")
+    configs = _configurations(scene, combinations, {"linear": linear, **settings}, t_end)
+    return [
+        Case(values, config, {}, config.solver.build())
+        for values, config in zip(combinations, configs, strict=True)
+    ]
+
+
+def _check_callable(scene: Any, arguments: Mapping[str, Any]) -> None:
+    """Refuse what cannot be called with a case's arguments."""
+    if not callable(scene):
+        raise ValueError(
+            f"scene must be a scene's name or a function that returns a Setup, not {type(scene).__name__}."
+        )
+    try:
+        inspect.signature(scene).bind(**arguments)
+    except TypeError as error:
+        raise ValueError(
+            f"the scene's function takes other arguments than {', '.join(arguments)}, the names in over and "
+            f"settings: {error}."
+        ) from error

@@ -14,7 +14,8 @@ from distributed.deploy.subprocess import SubprocessWorker
 
 # A cluster of Dask, a client of one, its scheduler's address, or None for workers on this machine.
 Cluster = Any
-_QUIET = logging.ERROR
+# What a job raises comes back with it, and needs no line in a worker's log.
+_QUIET = logging.CRITICAL
 # Workers of this machine listen to it alone, in clusters of this name.
 HOST, LOCAL = "127.0.0.1", "jaxcrumple"
 # Seconds between looks at whether workers of this machine are still there.
@@ -39,11 +40,20 @@ def connected(cluster: Cluster, most: int) -> Iterator[Client]:
     """A client of the cluster; of workers on this machine, one to a core and `most` of them, for None.
 
     These start as programs of their own, so that a script needs no guard around its main part.
+
+    **Raises:** ValueError for what is no cluster, or does not answer.
     """
     if isinstance(cluster, Client):
         yield cluster
     elif cluster is not None:
-        with Client(cluster) as client:
+        try:
+            client = Client(cluster)
+        except (OSError, TypeError, ValueError) as error:
+            raise ValueError(
+                f"cluster = {cluster!r} cannot be reached: {error}. Give a cluster or a client of Dask, or "
+                "the address of a scheduler that runs, such as tcp://host:8786."
+            ) from error
+        with client:
             yield client
     else:
         cores = _cores()

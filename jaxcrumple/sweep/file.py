@@ -40,18 +40,9 @@ def read_sweep(path: str | Path) -> SweepFile:
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path} cannot be read as TOML: {error}") from error
     try:
-        found = validated(SweepFile, _without_none(values))
+        found = validated(SweepFile, values)
         if found.scene not in SCENES:
             raise ConfigError(f"scene {found.scene!r} is unknown; choose one of {', '.join(SCENES)}.")
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
     return found
-
-
-def _without_none(value: Any) -> Any:
-    """A tree of TOML in which none is None."""
-    if isinstance(value, dict):
-        return {key: _without_none(entry) for key, entry in value.items()}
-    if isinstance(value, list):
-        return [_without_none(entry) for entry in value]
-    return None if isinstance(value, str) and value.lower() == "none" else value

@@ -6,41 +6,43 @@ from typing import Any
 import jax
 import numpy as np
 import pandas as pd
-import xarray as xr
 
-from jaxcrumple.scenes import Setup
 from jaxcrumple.simulate import simulate
+from jaxcrumple.start import check_start
 from jaxcrumple.state import State, initial_state
 from jaxcrumple.sweep.cases import Case, blamed
 from jaxcrumple.sweep.cluster import Cluster, connected, run_all
-from jaxcrumple.sweep.table import Measure, Outcome, Tell, measured
+from jaxcrumple.sweep.table import Frames, Measure, Outcome, Tell, broken
 
 
-class _Frames:
-    """Measures every frame of a run."""
+class _Observer:
+    """Measures every frame of a run, and breaks it off where that goes wrong."""
 
-    def __init__(self, measure: Measure, setup: Setup):
-        self.measure, self.setup = measure, setup
-        self.found: list[xr.Dataset] = []
+    def __init__(self, frames: Frames):
+        self.frames = frames
 
     def frame(self, index: int, state: State) -> None:
-        self.found.append(measured(self.measure, self.setup, state))
+        if not self.frames.take(state):
+            assert self.frames.error is not None
+            raise self.frames.error
 
     def chunk(self, state: State, history: pd.DataFrame, events: pd.DataFrame, frames: int) -> None:
         pass
 
 
 def run_case(case: Case, times: np.ndarray, measure: Measure, max_attempts: float) -> Outcome:
-    """One case, alone."""
+    """One case, alone. One that breaks, as by an exception of `measure`, keeps the frames it had."""
     setup = case.build()
-    frames = _Frames(measure, setup)
+    frames = Frames(measure, setup)
     state = initial_state(setup.scene, setup.x)
     budget = None if np.isinf(max_attempts) else int(max_attempts)
-    with blamed(case.name):
+    try:
         solution = simulate(
-            setup.scene, state, times, solver=case.solver, observers=[frames], max_attempts=budget
+            setup.scene, state, times, solver=case.solver, observers=[_Observer(frames)], max_attempts=budget
         )
-    return Outcome(solution.result, jax.device_get(solution.state), frames.found)
+    except Exception as error:
+        return broken(error, frames.found)
+    return frames.outcome(solution.result, jax.device_get(solution.state))
 
 
 def run_processes(
@@ -53,7 +55,7 @@ def run_processes(
 ) -> list[Outcome]:
     """Outcomes of the cases, each a run in a worker of the cluster.
 
-    **Raises:** ValueError for a case that cannot be built, before any of them runs.
+    **Raises:** ValueError for a case that cannot be built or start, before any of them runs.
     """
     outcomes: dict[int, Outcome] = {}
     with connected(cluster, len(cases)) as client:
@@ -61,11 +63,14 @@ def run_processes(
             future.result()
         jobs: list[Any] = [(case, times, measure, max_attempts) for case in cases]
         for index, future in run_all(client, run_case, jobs):
-            outcomes[index] = future.result()
+            error = future.exception()
+            outcomes[index] = future.result() if error is None else broken(error)
             tell(cases[index].name, outcomes[index].result)
     return [outcomes[index] for index in range(len(cases))]
 
 
 def _check(case: Case) -> None:
     """Build a case and drop it."""
-    case.build()
+    setup = case.build()
+    with blamed(case.name):
+        check_start(setup.scene, initial_state(setup.scene, setup.x))

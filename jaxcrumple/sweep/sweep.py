@@ -50,7 +50,7 @@ def sweep(
       tried on the start of the first case before any case runs.
     - `backend`: "batch", all cases as lanes of one program on the `devices` (by default all of the default
       kind), which needs a linear solver that batches; "processes", each case a run in a worker process; or
-      "auto": the former where JAX has an accelerator, the latter on a CPU.
+      "auto": the former where JAX has an accelerator or `devices` are given, the latter on a CPU.
     - `cluster`: of the workers: a cluster or a client of Dask, or the address of a scheduler; by default
       workers on this machine, one to a core.
     - `max_attempts`: step attempts after which a case ends with the result "budget".
@@ -58,28 +58,47 @@ def sweep(
 
     **Returns:** an xarray Dataset over the names in `over`, with `result`, `t_reached`, `steps` and counters
     of each case, and over `time` what was measured, NaN where a case ended before. A case that fails stops
-    alone.
+    alone; one that breaks, as by an exception of `measure` on its way, has the result "error" and a
+    `message`.
 
     **Raises:** ValueError for impossible values and cases, before any of them runs.
     """
-    if backend not in ("auto", "batch", "processes"):
-        raise ValueError(f"backend = {backend!r} is unknown; choose auto, batch or processes.")
-    if backend == "auto":
-        backend = "processes" if jax.default_backend() == "cpu" else "batch"
+    backend = _chosen(backend, cluster, devices)
+    if max_attempts is not None and max_attempts < 1:
+        raise ValueError(f"max_attempts = {max_attempts!r} must be at least 1.")
     stops = checked_times(times)
     linear = "two-level" if backend == "batch" else "auto"
-    settings = settings or {}
+    settings = {} if settings is None else settings
     grid = checked_grid(over, settings)
     cases = cases_of(scene, grid, settings, float(stops[-1]), solver, linear)
     _try(cases[0], grid, measure)
     most = np.inf if max_attempts is None else max_attempts
     start = time.perf_counter()
     if backend == "batch":
-        outcomes = run_batch(cases, stops, measure, most, devices or jax.devices(), tell)
+        outcomes = run_batch(cases, stops, measure, most, jax.devices() if devices is None else devices, tell)
     else:
         outcomes = run_processes(cases, stops, measure, most, cluster, tell)
     attributes = {"backend": backend, "seconds": time.perf_counter() - start}
     return table(grid, stops, outcomes, attributes)
+
+
+def _chosen(backend: Backend, cluster: Cluster, devices: Sequence[jax.Device] | None) -> Backend:
+    """The backend that is meant.
+
+    **Raises:** ValueError for an unknown one, no device, or what the backend has no use for.
+    """
+    if backend not in ("auto", "batch", "processes"):
+        raise ValueError(f"backend = {backend!r} is unknown; choose auto, batch or processes.")
+    if backend == "auto":
+        accelerated = jax.default_backend() != "cpu" and cluster is None
+        backend = "batch" if accelerated or devices is not None else "processes"
+    if backend == "batch" and cluster is not None:
+        raise ValueError("a cluster is for backend='processes'; a batch runs on the devices of this process.")
+    if backend == "processes" and devices is not None:
+        raise ValueError("devices are for backend='batch'; leave them out, or take that.")
+    if devices is not None and not len(devices):
+        raise ValueError("devices = [] leaves no device to run on.")
+    return backend
 
 
 def _try(case: Case, grid: Grid, measure: Measure) -> None:

@@ -25,6 +25,7 @@ RESERVED = (
     "case",
     "cause",
     "linear_iterations",
+    "message",
     "newton_iterations",
     "rejected",
     "result",
@@ -37,11 +38,41 @@ RESERVED = (
 
 
 class Outcome(NamedTuple):
-    """What became of a case: `result` in a word, its last `state`, and what was measured at its `frames`."""
+    """What became of a case: `result` in a word, what was measured at its `frames`, and its last `state`,
+    None if that is lost; a `message` where it broke."""
 
     result: str
-    state: State
     frames: list[xr.Dataset]
+    state: State | None
+    message: str = ""
+
+
+def broken(error: BaseException, frames: Sequence[xr.Dataset] = (), state: State | None = None) -> Outcome:
+    """The outcome of a case that an exception ended."""
+    return Outcome("error", list(frames), state, f"{type(error).__name__}: {error}")
+
+
+class Frames:
+    """Measures the frames of a case as it goes; `found`: those so far."""
+
+    def __init__(self, measure: Measure, setup: Setup):
+        self.measure, self.setup = measure, setup
+        self.found: list[xr.Dataset] = []
+        self.error: Exception | None = None
+
+    def take(self, state: State) -> bool:
+        """Measure a state; whether that went well."""
+        try:
+            self.found.append(measured(self.measure, self.setup, state))
+        except Exception as error:
+            self.error = error
+        return self.error is None
+
+    def outcome(self, result: str, state: State | None = None) -> Outcome:
+        """What became of the case, whose run ended with this result."""
+        if self.error is None:
+            return Outcome(result, self.found, state)
+        return broken(self.error, self.found, state)
 
 
 def standard_measure(setup: Setup, state: State) -> dict[str, Any]:
@@ -60,20 +91,27 @@ def measured(measure: Measure, setup: Setup, state: State) -> xr.Dataset:
     **Raises:** ValueError for a measure that returns something else than values by name.
     """
     found = measure(setup, state)
+    if not isinstance(found, Mapping):
+        raise ValueError(f"measure must return a dictionary by name, not {type(found).__name__}.")
+    known = {key: _known(key, value) for key, value in found.items()}
     try:
-        return xr.Dataset({key: _known(value) for key, value in found.items()})
-    except (TypeError, ValueError, AttributeError) as error:
-        raise ValueError(
-            f"measure returned {found!r}; it must return numbers, (dimensions, array) or DataArrays by name "
-            f"({error})."
-        ) from error
+        return xr.Dataset(known)
+    except ValueError as error:
+        raise ValueError(f"what measure returned makes no table: {error}.") from error
 
 
-def _known(value: Any) -> Any:
+def _known(name: str, value: Any) -> Any:
     """A value with its numbers on the host."""
-    if isinstance(value, tuple):
-        return value[0], np.asarray(value[1])
-    return value if isinstance(value, xr.DataArray) else np.asarray(value)
+    if isinstance(value, xr.DataArray):
+        return value
+    names, array = value if isinstance(value, tuple) and len(value) == 2 else ((), value)
+    names, known = (names,) if isinstance(names, str) else tuple(names), np.asarray(array)
+    if len(names) != known.ndim:
+        raise ValueError(
+            f"measure's {name!r} has sizes {known.shape} and dimensions {names}; return a pair of a name for "
+            "each and the array, as (('node', 'axis'), state.x)."
+        )
+    return names, known
 
 
 def table(
@@ -109,21 +147,25 @@ def check_names(grid: Grid, measured: xr.Dataset) -> None:
 
 
 def _row(times: np.ndarray, outcome: Outcome) -> xr.Dataset:
-    counters = outcome.state.counters
-    whole = xr.Dataset(
-        {
-            "result": outcome.result,
-            "t_reached": ((), float(outcome.state.t), {"units": "s"}),
-            "steps": ("stage", np.asarray(counters.steps)),
-            "rejected": ("cause", np.asarray(counters.rejected)),
-            "newton_iterations": int(counters.newton),
-            "linear_iterations": int(counters.linear),
-            "switches": int(counters.switches),
-        },
-        {"stage": list(STAGES), "cause": list(CAUSES), "time": ("time", times, {"units": "s"})},
-    )
+    known = {"result": outcome.result, "message": outcome.message}
+    if outcome.state is not None:
+        known |= _spent(outcome.state)
+    whole = xr.Dataset(known, {"time": ("time", times, {"units": "s"})})
     if not outcome.frames:
         return whole
     moments = pd.Index(times[: len(outcome.frames)], name="time")
     frames = xr.concat(outcome.frames, moments, **_JOINED)
     return whole.merge(frames.reindex(time=times), join="left")
+
+
+def _spent(state: State) -> dict[str, Any]:
+    """How far a case came, and by which steps."""
+    counters = state.counters
+    return {
+        "t_reached": ((), float(state.t), {"units": "s"}),
+        "steps": xr.DataArray(np.asarray(counters.steps), {"stage": list(STAGES)}, "stage"),
+        "rejected": xr.DataArray(np.asarray(counters.rejected), {"cause": list(CAUSES)}, "cause"),
+        "newton_iterations": int(counters.newton),
+        "linear_iterations": int(counters.linear),
+        "switches": int(counters.switches),
+    }
