@@ -118,6 +118,8 @@ def calibrate_by_fold(
 
     from jaxcrumple.calibrate import calibrate_fold
 
+    if json_file is not None:
+        _check_place(json_file, "--json")
     found = calibrate_fold(
         math.radians(target_angle),
         nodes=nodes,
@@ -176,12 +178,11 @@ def sweep(
     path = out or file.with_suffix(".nc")
     if path.exists():
         raise ValueError(f"{path} exists; give another --out, or remove it.")
-    if not os.access(path.absolute().parent, os.W_OK):
-        raise ValueError(f"{path.absolute().parent} is no folder that may be written; give another --out.")
+    _check_place(path, "--out")
     table = sweep(
         asked.scene,
         asked.over,
-        frame_times(asked.end, asked.frames)[1:],
+        frame_times(asked.end, asked.frames or 1)[1:],
         settings=asked.settings,
         backend=backend,  # type: ignore[arg-type]
         cluster=scheduler,
@@ -203,11 +204,20 @@ def campaign(
     from jaxcrumple.sweep.file import read_sweep
 
     asked, folder = read_sweep(file), out or Path("runs") / file.stem
-    settings = {**asked.settings, "frames": asked.frames}
-    runs = grid(asked.scene, asked.over, settings, t_end=asked.end)
+    frames = {} if asked.frames is None else {"frames": asked.frames}
+    runs = grid(asked.scene, asked.over, asked.settings | frames, t_end=asked.end)
     table = campaign(runs, folder, cluster=scheduler, tell=_tell_case)
     console.print(f"{len(table)} runs: {folder / 'campaign.csv'}", soft_wrap=True)
     _all_must_succeed((table["result"] == "success").all())
+
+
+def _check_place(path: Path, option: str) -> None:
+    """Refuse a file that cannot be written, before any work for it."""
+    folder = path.absolute().parent
+    if path.is_dir():
+        raise ValueError(f"{path} is a folder; give {option} a file.")
+    if not (folder.is_dir() and os.access(folder, os.W_OK)):
+        raise ValueError(f"{folder} is no folder that may be written; give another {option}.")
 
 
 def _tell_case(name: str, result: str) -> None:
@@ -228,7 +238,9 @@ def scenes() -> None:
     for name, entry in SCENES.items():
         console.print(f"[bold]{name}[/bold]: {entry.summary}; ends at t = {entry.t_end} s")
         _print_options(entry.options)
-    console.print(f"[bold]every run[/bold]\n  frames={RunConfig.model_fields['frames'].default} saved")
+    console.print(
+        f"[bold]every run[/bold]\n  frames={RunConfig.model_fields['frames'].default} saved after the start"
+    )
     _print_options(MaterialOptions)
     _print_options(SolverOptions)
 

@@ -192,10 +192,8 @@ def checked_times(times: ArrayLike, first_frame: int = 0, now: float = 0.0) -> n
 
     **Raises:** ValueError for times that are not finite, not increasing or before `now`.
     """
-    try:
-        stops = np.atleast_1d(np.asarray(times, float))
-    except (TypeError, ValueError):
-        stops = np.array([np.nan])
+    given = np.atleast_1d(np.asarray(times))
+    stops = given.astype(float) if given.dtype.kind in "iuf" else np.array([np.nan])
     sound = stops.ndim == 1 and np.all(np.isfinite(stops)) and np.all(np.diff(stops) > 0)
     if not (sound and stops.size and stops[0] >= 0 and stops[-1] > 0):
         raise ValueError(

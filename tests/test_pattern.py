@@ -45,8 +45,8 @@ def test_a_hidden_sheet_is_found(seen):
     [
         ({"patterns": np.zeros((2, 3))}, "a row of hinges for each time"),
         ({"std": 0.0}, "must be positive"),
-        ({"std": [0.1, 0.2]}, "one for each of their"),
-        ({"parameters": {}}, "names nothing to find"),
+        ({"std": [0.1, 0.2]}, "one number for all patterns"),
+        ({"parameters": {}}, "must name what to find"),
         ({"parameters": {"colour": jc.Parameter(1.0, 0.5, 2.0)}}, "'colour' is no number"),
         ({"parameters": {"yield_c0": jc.Parameter(1.0, 0.5, 2.0)}}, "'yield_c0' is no number"),
     ],

@@ -176,6 +176,9 @@ def test_words_and_none_are_values():
         ),
         ({"load": [0.1]}, {"measure": lambda setup, state: {"x": ("n", state.x)}}, "and dimensions .'n',"),
         ({"load": [0.1]}, {"measure": lambda setup, state: {"steps": 1.0}}, "'steps' of its own"),
+        ({"load": [0.1]}, {"measure": lambda setup, state: {"a": ("time", [1.0])}}, "'time' of its own"),
+        ({"load": [0.1]}, {"measure": lambda setup: {}}, "measure must be a function of"),
+        ({"load": [0.1]}, {"measure": None}, "measure must be a function of"),
         ({"load": [0.1]}, {"measure": lambda setup, state: {"load": 1.0}}, "'load' of its own"),
     ],
 )

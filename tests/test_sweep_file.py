@@ -74,6 +74,8 @@ def test_a_campaign_is_done_once(file, tmp_path):
         ("load = [0.2, 0.1]", "load = 0.2", "over.load = 0.2: Input should be a valid list"),
         ("[over]", "[over", "cannot be read as TOML"),
         ("[over]", "[overs]", "'overs' is unknown; did you mean 'over'"),
+        ("nodes = 60", "frames = 3", "frames is the same for all: give it at the top"),
+        ("max_step", "t_end", "t_end is the same for all"),
     ],
 )
 def test_what_cannot_be_is_refused_by_name_of_the_file(file, old, new, message):

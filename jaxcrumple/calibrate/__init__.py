@@ -1,6 +1,6 @@
 """Parameters from measurements: fits of runs by their derivatives."""
 
-from jaxcrumple.calibrate.evaluate import Experiment
+from jaxcrumple.calibrate.experiment import Experiment
 from jaxcrumple.calibrate.fit import Fit, Parameter, fit
 from jaxcrumple.calibrate.fold import FoldCalibration, calibrate_fold
 from jaxcrumple.calibrate.pattern import calibrate_pattern

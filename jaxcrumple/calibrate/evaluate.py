@@ -4,7 +4,7 @@ import json
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -14,54 +14,43 @@ import pandas as pd
 from jax import Array
 from numpy.typing import ArrayLike
 
-from jaxcrumple.model.scene import Scene
+from jaxcrumple.calibrate.experiment import Experiment, Values, count_residuals, difference, fingerprint
+from jaxcrumple.io.atomic import write_bytes
 from jaxcrumple.replay import Record, Replay, replay
 from jaxcrumple.simulate import simulate
 from jaxcrumple.solvers.scheme import Integrator
-from jaxcrumple.state import State
-
-Values = dict[str, Any]
-
-
-class Experiment(NamedTuple):
-    """What is run at trial parameters.
-
-    - `setup`: `setup(values)` -> (scene, state) for values by name, which JAX may trace: build the scene by
-      `sheet(..., like=)`, or by `eqx.tree_at` from one with plain numbers.
-    - `times`: frame times in s.
-    - `residuals`: `residuals(frames)` -> (m,), for frames as in `Replay`: what is measured less what was
-      observed, over its uncertainty.
-    """
-
-    setup: Callable[[Values], tuple[Scene, State]]
-    times: ArrayLike
-    residuals: Callable[[Replay], Array]
 
 
 class Evaluations:
     """Evaluations of one experiment, each made once, and kept in a file as they come.
 
-    **Raises:** ValueError for a file of another fit, or a place that is a folder.
+    The file's first line tells the fit from others, each following one is an evaluation.
+
+    **Raises:** ValueError for an experiment that cannot be evaluated, a file of another fit or of something
+    else, or a place that is a folder.
     """
 
     def __init__(
         self,
         experiment: Experiment,
         decoded: Callable[[Any], Values],
-        names: tuple[str, ...],
+        start: np.ndarray,
+        scales: Mapping[str, bool],
         solver: Integrator | None,
+        max_attempts: int | None,
         path: Path | None,
         tell: Callable[[Mapping[str, Any]], None],
     ):
-        self.experiment, self.decoded, self.names = experiment, decoded, names
-        self.solver, self.path, self.tell = solver, path, tell
+        self.experiment, self.decoded, self.scales = experiment, decoded, dict(scales)
+        self.solver, self.max_attempts, self.path, self.tell = solver, max_attempts, path, tell
+        self.size = count_residuals(experiment, decoded(start))
         self.rows: list[dict[str, Any]] = []
         self.known: dict[tuple[str, str], np.ndarray] = {}
         self.last: tuple[str, Record | None] = ("", None)
         self.failures: dict[str, str] = {}
         self._snaps: dict[str, int] = {}
         if path is not None:
-            self._read(path)
+            self._open(path, start)
 
     def residuals(self, u: np.ndarray) -> np.ndarray:
         """Residuals (m,) at encoded parameters; infinite where the run fails."""
@@ -77,7 +66,12 @@ class Evaluations:
 
     def trouble(self, u: np.ndarray) -> str:
         """In words, where and how the run at encoded parameters failed."""
-        return f"the run at {self._told(u)} fails: {self.failures.get(_key(u), 'nothing else is known')}"
+        return f"the run at {self._told(u)} fails: {self.failures[_key(u)]}"
+
+    def nearest_failure(self, u: np.ndarray) -> np.ndarray | None:
+        """Encoded parameters of the run nearest to `u` that failed, if any did."""
+        failed = [np.frombuffer(bytes.fromhex(key)) for key in self.failures]
+        return min(failed, key=lambda other: float(np.linalg.norm(other - u)), default=None)
 
     def snaps(self, u: np.ndarray) -> int:
         """How many snaps the run at encoded parameters goes through."""
@@ -87,26 +81,38 @@ class Evaluations:
     def history(self) -> pd.DataFrame:
         """A line for each evaluation: its kind, the parameters, half the sum of squares, how many snaps the
         run goes through, seconds."""
-        return pd.DataFrame(self.rows, columns=["kind", *self.names, "loss", "snaps", "seconds"])
+        return pd.DataFrame(self.rows, columns=["kind", *self.scales, "loss", "snaps", "seconds"])
 
     def _run(self, u: np.ndarray) -> np.ndarray:
-        scene, state = self.experiment.setup(self.decoded(u))
-        solution = simulate(scene, state, self.experiment.times, solver=self.solver, record=True)
+        """Residuals (m,), infinite with the failure noted where there are none."""
+        self.last = (_key(u), None)
+        try:
+            found, failure = self._residuals(u)
+        except ValueError as error:
+            found, failure = np.empty(0), str(error)
+        except Exception as error:
+            error.add_note(f"in the run at {self._told(u)}")
+            raise
+        if not failure and not np.all(np.isfinite(found)):
+            failure = "its residuals are not finite"
+        if failure:
+            self.failures[_key(u)] = failure
+            return np.full(self.size, np.inf)
+        return found
+
+    def _residuals(self, u: np.ndarray) -> tuple[np.ndarray, str]:
+        """Residuals (m,), and why there are none."""
+        scene, state = self.experiment.start(self.decoded(u))
+        times, attempts = self.experiment.times, self.max_attempts
+        solution = simulate(scene, state, times, solver=self.solver, max_attempts=attempts, record=True)
         self.last = (_key(u), solution.record)
         if solution.result != "success":
             reached = f"{solution.result} at t = {float(solution.state.t):.4g} s"
-            self.failures[_key(u)] = f"{reached} ({solution.message})"
-            return np.full(self._size, np.inf)
+            return np.empty(0), f"{reached} ({solution.message})"
         x, v, p = (None if a is None else jnp.asarray(a) for a in (solution.x, solution.v, solution.p))
         assert x is not None and v is not None
         found = self.experiment.residuals(Replay(jnp.asarray(solution.t), x, v, p, jnp.zeros(())))
-        return np.asarray(found)
-
-    @property
-    def _size(self) -> int:
-        """Number of residuals, known from the first run that went well; one before."""
-        sizes = [len(value) for (kind, _), value in self.known.items() if kind == "residuals"]
-        return sizes[0] if sizes else 1
+        return np.asarray(found), ""
 
     def _recorded(self, u: np.ndarray) -> Record:
         if self.last[0] != _key(u):
@@ -116,7 +122,7 @@ class Evaluations:
         return record
 
     def _frozen(self, record: Record, u: Array) -> Array:
-        scene, state = self.experiment.setup(self.decoded(u))
+        scene, state = self.experiment.start(self.decoded(u))
         return self.experiment.residuals(replay(scene, record, state, solve=False))
 
     def _once(self, kind: str, u: np.ndarray, evaluate: Callable[[np.ndarray], ArrayLike]) -> np.ndarray:
@@ -134,7 +140,7 @@ class Evaluations:
         snaps = 0 if record is None else int(np.sum(np.isfinite(record.snaps)))
         self._keep(kind, u, value, snaps, time.perf_counter() - start)
         if self.path is not None:
-            line = {"kind": kind, "names": self.names, "u": list(u), "value": value.tolist(), "snaps": snaps}
+            line = {"kind": kind, "u": list(u), "value": value.tolist(), "snaps": snaps}
             line["failure"] = self.failures.get(_key(u), "")
             with self.path.open("a") as file:
                 file.write(json.dumps(line) + "\n")
@@ -151,22 +157,35 @@ class Evaluations:
         """The parameters in words."""
         return ", ".join(f"{name} = {float(value):.6g}" for name, value in self.decoded(u).items())
 
-    def _read(self, path: Path) -> None:
+    def _open(self, path: Path, start: np.ndarray) -> None:
+        """Go on with the fit in a file, or begin one."""
         if path.is_dir():
             raise ValueError(f"{path} is a folder; a fit is kept in a file.")
-        path.parent.mkdir(parents=True, exist_ok=True)
         text = path.read_text() if path.exists() else ""
+        if not text:
+            mark = fingerprint(self.experiment, self.decoded(start), self.solver)
+            header = {"fit": self.scales, "u": list(start), "fingerprint": mark}
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_bytes(path, (json.dumps(header) + "\n").encode())
+            return
         # What follows the last end of a line is from a fit that was killed.
         whole = text[: text.rfind("\n") + 1]
+        try:
+            header, *lines = [json.loads(line) for line in whole.splitlines()]
+            scales, probe, known = header["fit"], np.array(header["u"]), header["fingerprint"]
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{path} is no file of a fit; give another one, or remove it.") from error
+        if scales != self.scales:
+            raise ValueError(
+                f"{path} holds a fit of {', '.join(scales)}, not of {', '.join(self.scales)}, or on another "
+                "scale; give another file."
+            )
+        other = difference(known, fingerprint(self.experiment, self.decoded(probe), self.solver))
+        if other:
+            raise ValueError(f"{path} holds a fit with other numbers of {other}; give another file.")
         if whole != text:
             path.write_text(whole)
-        try:
-            lines = [json.loads(line) for line in whole.splitlines()]
-        except ValueError as error:
-            raise ValueError(f"{path} is no file of a fit ({error}); give another one.") from error
         for line in lines:
-            if tuple(line["names"]) != self.names:
-                raise ValueError(f"{path} holds a fit of {line['names']}; this one is of {list(self.names)}.")
             if line["failure"]:
                 self.failures[_key(np.array(line["u"]))] = line["failure"]
             self._keep(line["kind"], np.array(line["u"]), np.array(line["value"]), line["snaps"], 0.0)

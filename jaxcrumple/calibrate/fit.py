@@ -12,11 +12,16 @@ import pandas as pd
 from jax import Array
 from scipy.optimize import brentq, least_squares
 
-from jaxcrumple.calibrate.evaluate import Evaluations, Experiment, Values
+from jaxcrumple.calibrate.evaluate import Evaluations
+from jaxcrumple.calibrate.experiment import Experiment, Values
 from jaxcrumple.solvers.scheme import Integrator
 
 # Steps by which a bracket is sought, as factors of the parameter.
 GROWTH = 1.5
+# Smallest relative change that rounding leaves to be seen.
+FINEST = 1e-14
+# Where runs fail, a fit that could still lessen its loss by so many times `rtol` has not come to its end.
+BARRED = 10.0
 
 
 class Parameter(NamedTuple):
@@ -28,7 +33,7 @@ class Parameter(NamedTuple):
     log: bool = True
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Fit:
     """What `fit` returns.
 
@@ -52,6 +57,13 @@ class Fit:
     success: bool
     message: str
 
+    def __repr__(self) -> str:
+        found = ", ".join(
+            f"{name} = {value:.5g} +- {self.std[name]:.2g}" for name, value in self.values.items()
+        )
+        spent = f"{self.evaluations} runs, {self.gradient_evaluations} derivatives"
+        return f"Fit({found}, loss {self.loss:.3g}, {spent}, {'success' if self.success else self.message})"
+
 
 def fit(
     experiment: Experiment,
@@ -61,6 +73,7 @@ def fit(
     solver: Integrator | None = None,
     max_steps: int = 30,
     rtol: float = 1e-4,
+    max_attempts: int | None = None,
     scaled: bool = True,
     checkpoint: str | Path | None = None,
     tell: Callable[[Mapping[str, Any]], None] = lambda row: None,
@@ -79,23 +92,27 @@ def fit(
     - `solver`: of the runs, by default `integrator()`.
     - `max_steps`: runs, or steps of an optimiser, at most.
     - `rtol`: relative change of loss or parameters at which it ends.
+    - `max_attempts`: step attempts after which a run fails.
     - `scaled`: whether the uncertainty is scaled so that the residuals have the standard deviation 1;
       otherwise they are taken to have it.
-    - `checkpoint`: file of all evaluations; a fit that finds one goes on from it to the same answer.
+    - `checkpoint`: file of all evaluations; a fit that finds one goes on from it to the same answer. It is
+      of one experiment and solver; start and bounds may change.
     - `tell`: called with each new line of the history.
 
+    A run whose setup raises ValueError, or whose result is not "success", fails; a fit goes around it where
+    it can.
+
     **Raises:** ValueError for no parameter, bounds that do not hold the start or, on a logarithmic scale,
-    are not positive, for an unknown method, a file of another fit, a first run that fails, or a parameter
-    that does nothing.
+    are not positive, for an unknown method, a setup or residuals that JAX cannot trace, a file of another
+    fit, a first run that fails, or a parameter that does nothing.
     """
-    if not parameters:
-        raise ValueError(
-            "parameters = {} names nothing to find; give e.g. {name: Parameter(start, lower, upper)}."
-        )
-    names = tuple(parameters)
     code = _Code(parameters)
-    path = None if checkpoint is None else Path(checkpoint)
-    evaluations = Evaluations(experiment, code.decoded, names, solver, path, tell)
+    _check_options(method, len(parameters), max_steps, rtol)
+    names, path = tuple(parameters), None if checkpoint is None else Path(checkpoint)
+    scales = {name: own.log for name, own in parameters.items()}
+    evaluations = Evaluations(experiment, code.decoded, code.start, scales, solver, max_attempts, path, tell)
+    if method == "root" and evaluations.size != 1:
+        raise ValueError(f"'root' needs one residual for its one parameter, not {evaluations.size}.")
     first = evaluations.residuals(code.start)
     if not np.all(np.isfinite(first)):
         raise ValueError(f"{evaluations.trouble(code.start)}: choose another start.")
@@ -107,20 +124,45 @@ def fit(
     if method == "least-squares":
         u, success, message = _least_squares(evaluations, code, max_steps, rtol)
     elif method == "root":
-        if len(names) != 1 or len(first) != 1:
-            raise ValueError(f"'root' finds one parameter from one residual, not {len(names)}, {len(first)}.")
         u, success, message = _root(evaluations, code, max_steps, rtol)
-    elif isinstance(method, optax.GradientTransformation):
-        u, success, message = _descent(evaluations, code, method, max_steps, rtol)
     else:
-        raise ValueError(f"method = {method!r} must be 'least-squares', 'root' or an optimiser of Optax.")
+        u, success, message = _descent(evaluations, code, method, max_steps, rtol)
     return _result(evaluations, code, u, scaled, success, message)
+
+
+def _check_options(method: Any, parameters: int, max_steps: int, rtol: float) -> None:
+    """Refuse what a method cannot do with, before any run."""
+    if not (isinstance(max_steps, int) and max_steps >= 1):
+        raise ValueError(f"max_steps = {max_steps!r} must be a whole number, at least 1.")
+    if not FINEST <= rtol < 1:
+        raise ValueError(f"rtol = {rtol!r} must lie between {FINEST:g} and 1.")
+    if method == "root" and parameters != 1:
+        raise ValueError(f"'root' finds one parameter, not {parameters}; take 'least-squares'.")
+    if method in ("least-squares", "root"):
+        return
+    if not isinstance(method, optax.GradientTransformation):
+        raise ValueError(
+            f"method = {method!r} must be 'least-squares', 'root' or an optimiser of Optax, such as "
+            "optax.adam(0.1)."
+        )
+    still = jnp.zeros(parameters)
+    try:
+        method.update(still, method.init(still), still)
+    except TypeError as error:
+        raise ValueError(
+            "this optimiser of Optax wants more than gradients, such as the values of a line search; take "
+            "another one, such as optax.adam(0.1), or 'least-squares'."
+        ) from error
 
 
 class _Code:
     """Encodes parameters: logarithms of those on a logarithmic scale."""
 
     def __init__(self, parameters: Mapping[str, Parameter]):
+        if not isinstance(parameters, Mapping) or not parameters:
+            raise ValueError(
+                "parameters must name what to find; give e.g. {name: Parameter(start, lower, upper)}."
+            )
         for name, own in parameters.items():
             if not (isinstance(own, Parameter) and np.all(np.isfinite(own[:3]))):
                 raise ValueError(
@@ -154,6 +196,12 @@ def _least_squares(evaluations: Evaluations, code: _Code, max_steps: int, rtol: 
         xtol=rtol,
         gtol=None,
     )
+    failed = evaluations.nearest_failure(found.x)
+    step = np.linalg.lstsq(found.jac, -found.fun)[0]
+    moved = np.clip(found.x + step, code.lower, code.upper) - found.x
+    ahead = 0.5 * float(np.sum((found.fun + found.jac @ moved) ** 2))
+    if failed is not None and ahead < (1.0 - BARRED * rtol) * found.cost:
+        return found.x, False, f"the way on is barred: {evaluations.trouble(failed)}"
     return found.x, bool(found.success), found.message
 
 

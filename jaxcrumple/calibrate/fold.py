@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxcrumple.calibrate.evaluate import Experiment
+from jaxcrumple.calibrate.experiment import Experiment
 from jaxcrumple.calibrate.fit import Fit, Parameter, fit
 from jaxcrumple.material import Material
 from jaxcrumple.scenes.fold import TIMES, default_gap, fold, fold_angle

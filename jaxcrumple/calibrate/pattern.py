@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxcrumple.calibrate.evaluate import Experiment
+from jaxcrumple.calibrate.experiment import Experiment
 from jaxcrumple.calibrate.fit import Fit, Parameter, fit
 from jaxcrumple.scenes.setup import Setup
+from jaxcrumple.simulate import checked_times
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import initial_state
 
@@ -51,19 +52,23 @@ def calibrate_pattern(
             "setup must be a Setup that says its material: that of a scene such as jaxcrumple.radial(...), "
             "or Setup(..., material=)."
         )
-    seen, moments = np.asarray(patterns, float), np.atleast_1d(np.asarray(times, float))
+    seen, moments = np.asarray(patterns, float), checked_times(times)
     if setup.scene.plasticity is None:
         raise ValueError("an elastic sheet leaves no pattern; give its material a yield curvature.")
     shape = (len(moments), setup.scene.bending.rest_curvature.shape[0])
-    if seen.shape != shape or not np.all(np.isfinite(seen)):
+    if seen.shape != shape:
         raise ValueError(
-            f"patterns of shape {seen.shape} must be finite and {shape}: a row of hinges for each time."
+            f"patterns have the shape {seen.shape} and must have {shape}: a row of hinges for each time."
+        )
+    if not np.all(np.isfinite(seen)):
+        raise ValueError(
+            "patterns hold what is no finite number; give hinges that were not seen a large std."
         )
     deviation = np.asarray(std, float)
     if not (np.all(np.isfinite(deviation) & (deviation > 0)) and deviation.shape in ((), shape)):
         raise ValueError(
-            f"std of shape {deviation.shape} must be positive, the deviation of all patterns or one for each "
-            f"of their {shape} numbers."
+            f"std must be positive and finite, one number for all patterns or an array {shape} like them, "
+            f"not {std!r}."
         )
     for name in parameters:
         if not isinstance(getattr(material, name, None), float):

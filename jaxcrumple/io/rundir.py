@@ -220,7 +220,9 @@ def _entry(column: str, value: Any) -> float | int | str:
 def _read_config(path: Path) -> dict[str, Any]:
     file = path / "run.json"
     if not file.is_file():
-        raise RunDirectoryError(f"folder {str(path)!r} is not a run: it has no run.json; give a run's folder")
+        inner = sorted(entry.parent.name for entry in path.glob("*/run.json"))
+        cure = f"it holds runs; give one of them, such as {inner[0]!r}" if inner else "give a run's folder"
+        raise RunDirectoryError(f"folder {str(path)!r} is not a run: it has no run.json; {cure}")
     data = _read_json(file)
     if data.get("format") != FORMAT or not isinstance(data.get("config"), dict):
         raise RunDirectoryError(f"{str(file)!r} is not of this program; give the output folder of a run")

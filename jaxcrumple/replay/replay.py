@@ -57,8 +57,17 @@ def replay(
     - `checkpoint`: derivatives keep positions (n, 3) alone for each step, and a state for each stretch of
       64, from which velocities and rest curvatures are computed anew.
 
-    **Raises:** ValueError for a state of another scene.
+    A run that ended early has the frames that it reached.
+
+    **Raises:** ValueError for what is no scene or no record, or a state of another scene.
     """
+    if not isinstance(scene, Scene):
+        raise ValueError(f"scene must be a Scene, not {type(scene).__name__}.")
+    if not isinstance(record, Record):
+        raise ValueError(
+            f"record must be the record of simulate(..., record=True), not {type(record).__name__}; a run "
+            "without a step has none."
+        )
     start = record.start if start is None else start
     check_state(scene, start)
     here = Point(start.x, start.v, start.p)

@@ -133,6 +133,7 @@ def fold(
 
 def default_gap(nodes: int, size: float = SIZE) -> float:
     """Gap in m between the plates for a mesh of as many nodes."""
+    check_positive(nodes=nodes, size=size)
     return max(GAP, COARSEST * size * math.sqrt(2.0 / (math.sqrt(3.0) * nodes)))
 
 

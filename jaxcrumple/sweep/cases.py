@@ -116,6 +116,10 @@ def grid(
 
     **Raises:** ValueError for an unknown name or an impossible value.
     """
+    if not isinstance(scene, str):
+        raise ValueError(
+            f"scene must be the name of one, not {type(scene).__name__}; `sweep` takes functions."
+        )
     settings = {} if settings is None else settings
     combinations = product(checked_grid(over, settings))
     configs = _configurations(scene, combinations, settings, t_end)

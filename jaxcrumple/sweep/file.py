@@ -13,14 +13,15 @@ from jaxcrumple.scenes import SCENES
 class SweepFile(Options):
     """A grid of a named scene: what is varied is `over`, what all have in common `settings`.
 
-    `t_end` in s, by default the scene's own; `frames`: how many moments are measured, evenly spaced.
+    `t_end` in s, by default the scene's own; `frames`: how many moments are measured, evenly spaced, by
+    default the end alone; a campaign saves as many and the start, by default as many as a run.
     """
 
     scene: str
     over: dict[str, list[Any]]
     settings: dict[str, Any] = Field(default_factory=dict)
     t_end: float | None = Field(None, gt=0, allow_inf_nan=False)
-    frames: int = Field(1, ge=1, le=100_000)
+    frames: int | None = Field(None, ge=1, le=100_000)
 
     @property
     def end(self) -> float:
@@ -43,6 +44,9 @@ def read_sweep(path: str | Path) -> SweepFile:
         found = validated(SweepFile, values)
         if found.scene not in SCENES:
             raise ConfigError(f"scene {found.scene!r} is unknown; choose one of {', '.join(SCENES)}.")
+        for name in ("frames", "t_end"):
+            if name in found.settings or name in found.over:
+                raise ConfigError(f"{name} is the same for all: give it at the top, before the tables.")
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
     return found

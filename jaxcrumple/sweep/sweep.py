@@ -1,5 +1,6 @@
 """`sweep`: a scene over a grid of its numbers."""
 
+import inspect
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal
@@ -104,7 +105,14 @@ def _chosen(backend: Backend, cluster: Cluster, devices: Sequence[jax.Device] | 
 def _try(case: Case, grid: Grid, measure: Measure) -> None:
     """Measure the start of a case, before any of them runs.
 
-    **Raises:** ValueError for what cannot be built, names that are taken, or whatever `measure` raises.
+    **Raises:** ValueError for what cannot be built, what is no measure, names that are taken, or whatever
+    `measure` raises.
     """
+    try:
+        inspect.signature(measure).bind(None, None)
+    except TypeError as error:
+        raise ValueError(
+            f"measure must be a function of a case's Setup and a State that returns values by name: {error}."
+        ) from error
     setup = case.build()
     check_names(grid, measured(measure, setup, initial_state(setup.scene, setup.x)))

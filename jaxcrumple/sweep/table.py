@@ -141,8 +141,9 @@ def check_names(grid: Grid, measured: xr.Dataset) -> None:
 
     **Raises:** ValueError that says which name.
     """
-    for name in (*grid, *measured.variables):
-        if name in RESERVED or (name in grid and name in measured.variables):
+    found = {*measured.variables, *measured.dims}
+    for name in (*grid, *found):
+        if name in RESERVED or (name in grid and name in found):
             raise ValueError(f"the table of a sweep has a {name!r} of its own: choose another name.")
 
 
