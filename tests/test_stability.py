@@ -5,7 +5,7 @@ import pytest
 from stability import NODES, SWEEPS, judged, sample
 
 RUNS = sample(10, seed=1, largest=NODES[0])
-SECONDS = 6.0
+SECONDS = 3.0
 
 
 def test_the_cube_spans_its_ranges():

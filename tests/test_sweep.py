@@ -13,6 +13,7 @@ import xarray as xr
 
 import jaxcrumple as jc
 from jaxcrumple.sweep import lanes
+from jaxcrumple.sweep.cluster import connected
 
 LOADS, TIMES = (0.3, 0.1, 0.2), (5e-4, 1e-3)
 SETTINGS = {"nodes": 60, "scheme": "explicit"}
@@ -109,9 +110,16 @@ def test_a_budget_ends_lanes(swept):
     assert np.all(np.isfinite(table.height.isel(time=0))) and np.all(np.isnan(table.height.isel(time=1)))
 
 
-def test_processes_give_the_same_table(swept):
+@pytest.fixture(scope="module")
+def client():
+    """Two workers of this machine."""
+    with connected(None, 2) as client:
+        yield client
+
+
+def test_processes_give_the_same_table(swept, client):
     told = []
-    options = {"settings": SETTINGS, "measure": positions, "backend": "processes"}
+    options = {"settings": SETTINGS, "measure": positions, "cluster": client}
     table = jc.sweep("arch", {"load": LOADS}, TIMES, tell=lambda *row: told.append(row), **options)
     xr.testing.assert_allclose(table.drop_attrs(), swept[0].drop_attrs(), rtol=1e-9, atol=1e-13)
     assert sorted(told) == [(f"load={load}", "success") for load in sorted(LOADS)]
@@ -207,7 +215,7 @@ def test_a_cluster_that_does_not_answer_is_refused():
         jc.sweep("arch", {"load": [0.1]}, 1e-5, settings=SETTINGS, cluster=3)
 
 
-def test_a_case_whose_measure_breaks_on_its_way_stops_alone(swept):
+def test_a_case_whose_measure_breaks_on_its_way_stops_alone(swept, client):
     """And keeps what was measured before."""
 
     heights = swept[0].height.isel(time=1).values
@@ -219,17 +227,17 @@ def test_a_case_whose_measure_breaks_on_its_way_stops_alone(swept):
         return {"height": jnp.mean(state.x[:, 2])}
 
     fails = heights < limit
-    for backend in ("batch", "processes"):
-        table = batch(measure=height, backend=backend)
+    for way in ({"backend": "batch"}, {"backend": "processes", "cluster": client}):
+        table = batch(measure=height, **way)
         assert table.result.values.tolist() == ["error" if low else "success" for low in fails]
         assert np.all(np.isnan(table.height.isel(time=1)) == fails)
         assert np.all((table.message == "ZeroDivisionError: too low") == fails)
         np.testing.assert_allclose(table.height.isel(time=0), swept[0].height.isel(time=0), rtol=1e-9)
 
 
-def test_a_worker_refuses_a_case_before_any_runs():
+def test_a_worker_refuses_a_case_before_any_runs(client):
     told = []
-    options = {"settings": SETTINGS, "backend": "processes", "tell": lambda *row: told.append(row)}
+    options = {"settings": SETTINGS, "cluster": client, "tell": lambda *row: told.append(row)}
     with pytest.raises(ValueError, match=r"rise=0\.02: rise = 0\.02 m is more than half"):
         jc.sweep("arch", {"rise": [0.002, 0.02]}, 1e-5, **options)
     assert not told
