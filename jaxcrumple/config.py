@@ -47,7 +47,7 @@ class MaterialOptions(Options):
 
 
 class SolverOptions(Options):
-    """The integrator, None meaning the scheme's own; see `integrator` and `Switch`."""
+    """The integrator, None meaning the scheme's own; see `integrator` and `Switch`. `ledger`: of work, see `Work`."""
 
     rtol: float = Field(1e-2, gt=0, lt=0.1, allow_inf_nan=False)
     scheme: Scheme = "hybrid"
@@ -60,6 +60,7 @@ class SolverOptions(Options):
     dwell: float | None = Field(None, ge=0)
     ignore: int | None = Field(None, ge=0)
     minimum_steps: int | None = Field(None, ge=1)
+    ledger: bool = False
 
     def switch(self) -> Switch:
         """When the scheme changes the stage; what is None is the scheme's own."""
@@ -127,7 +128,7 @@ def configure(
         "scene": scene,
         "nodes": nodes,
         "seed": seed,
-        "t_end": entry.t_end if t_end is None else t_end,
+        "t_end": t_end,
     }
     for key, value in pairs(settings):
         if key == "frames":
@@ -143,6 +144,8 @@ def configure(
         "material": validated(MaterialOptions, values["material"]),
         "solver": validated(SolverOptions, values["solver"]),
     }
+    if t_end is None:
+        top["t_end"] = entry.ends(options)
     config = validated(RunConfig, {**top, **parts})
     last = entry.lasts(config.options)
     if config.t_end >= last:

@@ -80,7 +80,7 @@ def start_run(config: RunConfig, out: str | Path, observers: Sequence[Observer] 
     setup = config.build()
     folder = RunDirectory.create(out, config.model_dump(mode="json"))
     folder.save_mesh(setup.mesh)
-    state = initial_state(setup.scene, setup.x)
+    state = initial_state(setup.scene, setup.x, ledger=config.solver.ledger)
     return _go(config, folder, setup, solver, state, 0, {}, observers)
 
 
@@ -94,7 +94,7 @@ def resume_run(out: str | Path, observers: Sequence[Observer] = ()) -> dict[str,
     config = stored_config(folder)
     solver = config.solver.build()
     setup = config.build()
-    like = initial_state(setup.scene, setup.x)
+    like = initial_state(setup.scene, setup.x, ledger=config.solver.ledger)
     if not folder.checkpoint_path.exists():
         folder.rewind(0, 0, 0)
         folder.save_mesh(setup.mesh)

@@ -34,7 +34,7 @@ from jaxcrumple import Solution, initial_state, simulate
 from jaxcrumple.config import RunConfig, configure
 from jaxcrumple.measure import count_intersections
 from jaxcrumple.scenes import Setup
-from jaxcrumple.scenes.radial import smooth_imperfection
+from jaxcrumple.scenes.sheets import smooth_imperfection
 from jaxcrumple.simulate import explain
 from jaxcrumple.solvers.log import STEP
 from jaxcrumple.solvers.scheme import REFERENCE_SHARE, Integrator

@@ -30,13 +30,14 @@ from jaxcrumple.io.frames import Frame
 from jaxcrumple.io.table import Table
 from jaxcrumple.mesh import Mesh
 from jaxcrumple.solvers.log import Row
-from jaxcrumple.state import STAGES
+from jaxcrumple.state import STAGES, Work
 
 FORMAT, VERSION = "jaxcrumple-run", 1
 _NUMBERS = {"t", "h", "acceleration", "acceleration_mean", "error"}
 _ENERGIES = {"stretch", "bending", "contact", "confinement", "gravity", "extra", "kinetic"}
+_WORK = {f"work_{name}" for name in Work._fields}
 #: Columns of the history that count something and are written without a decimal point.
-INTEGERS = frozenset(Row._fields) - _NUMBERS - _ENERGIES - {"stage"}
+INTEGERS = frozenset(Row._fields) - _NUMBERS - _ENERGIES - _WORK - {"stage"}
 
 
 class Counts(NamedTuple):

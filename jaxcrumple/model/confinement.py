@@ -41,6 +41,18 @@ class Ramp(eqx.Module):
         return self.start + self.rate * jnp.minimum(t, self.until)
 
 
+class Corners(eqx.Module):
+    """A number that goes straight from one of `values` (m,) to the next at `times` (m,) in s, and stays at the
+    first and at the last."""
+
+    times: Array = eqx.field(converter=as_float)
+    values: Array = eqx.field(converter=as_float)
+
+    def __call__(self, t: Array) -> Array:
+        """Value at time `t`."""
+        return jnp.interp(t, self.times, self.values)
+
+
 def _of_time(value: ArrayLike | Callable[[Array], Array]) -> Callable[[Array], Array]:
     """A number that never changes as a function of time."""
     return value if callable(value) else Ramp(as_float(value), as_float(0.0))
@@ -116,6 +128,45 @@ class Cone(AbstractShape):
         radial = offset - along * self.axis
         distance = jnp.sqrt(radial @ radial + TINY)
         return (along - self.height(t)) * jnp.sin(self.half_angle) - distance * jnp.cos(self.half_angle)
+
+
+class Ball(AbstractShape):
+    """The outside of a ball of `radius` in m, whose centre is at `center` + `height` * `axis`.
+
+    `height` in m is a number or a callable of time, `axis` a unit vector (3,).
+    """
+
+    center: Array = eqx.field(converter=as_float)
+    axis: Array = eqx.field(converter=as_float)
+    radius: Array = eqx.field(converter=as_float)
+    height: Callable[[Array], Array] = eqx.field(converter=_of_time)
+
+    def gap(self, point: Array, t: Array) -> Array:
+        """Distance from the centre minus radius."""
+        offset = point - self.center - self.height(t) * self.axis
+        return jnp.sqrt(offset @ offset + TINY) - self.radius
+
+
+class Opening(AbstractShape):
+    """A plate with a round hole, whose edge is round as well.
+
+    The plate is the plane through `center` (3,) normal to the unit vector `axis` (3,), as thick as twice the
+    radius `edge` in m to which the rim of the hole is rounded; what remains of the hole has `radius` in m, a
+    number or a callable of time.
+    """
+
+    center: Array = eqx.field(converter=as_float)
+    axis: Array = eqx.field(converter=as_float)
+    radius: Callable[[Array], Array] = eqx.field(converter=_of_time)
+    edge: Array = eqx.field(converter=as_float)
+
+    def gap(self, point: Array, t: Array) -> Array:
+        """Distance from the plate's surface."""
+        offset = point - self.center
+        along = offset @ self.axis
+        radial = offset - along * self.axis
+        inside = jnp.maximum(self.radius(t) + self.edge - jnp.sqrt(radial @ radial + TINY), 0.0)
+        return jnp.sqrt(inside**2 + along**2 + TINY) - self.edge
 
 
 def wall_law(nearness: Array) -> Array:

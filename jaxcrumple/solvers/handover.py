@@ -20,6 +20,7 @@ from jaxcrumple.state import (
     QUASISTATIC,
     State,
     fresh_monitor,
+    no_work,
     restart_history,
 )
 from jaxcrumple.system import energies
@@ -126,7 +127,9 @@ def row(scene: Scene, state: State, kind: int, h, order, error) -> Row:
     parts = energies(scene, state.x, state.v, state.p, state.t)
     monitor, count = state.monitor, state.counters
     steps = (count.steps[QUASISTATIC], count.steps[IMPLICIT], count.steps[EXPLICIT])
+    work = no_work() if state.work is None else state.work
     return Row(
         kind, state.t, state.stage, h, monitor.ratios[0], jnp.mean(monitor.ratios), *parts,
         order, error, count.newton, count.linear, count.factors, *steps, jnp.sum(count.rejected),
+        *work,
     )  # fmt: skip

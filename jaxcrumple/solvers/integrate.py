@@ -16,6 +16,7 @@ from jaxcrumple.solvers.bdf import push
 from jaxcrumple.solvers.handover import Handover, after_explicit, after_implicit, handed_over, row, stay
 from jaxcrumple.solvers.implicit import Attempt, aligns
 from jaxcrumple.solvers.linear import Factor
+from jaxcrumple.solvers.ledger import booked
 from jaxcrumple.solvers.lists import (
     Lists,
     largest_move,
@@ -275,7 +276,14 @@ def _moved(scene: Scene, state: State, tried: Attempt, h: Array, t: Array, solve
     )  # fmt: skip
     if state.p is not None:
         moved = eqx.tree_at(lambda s: s.p, moved, tried.p)
-    return select(tried.accepted, moved, state)
+    return select(tried.accepted, _with_work(scene, state, moved, h), state)
+
+
+def _with_work(scene: Scene, before: State, after: State, h: Array) -> State:
+    """The state after an accepted step with its ledger, if it keeps one."""
+    if before.work is None:
+        return after
+    return eqx.tree_at(lambda s: s.work, after, booked(scene, before, after, h))
 
 
 def _count(counters: Counters, stage, accepted, cause, newton=0, linear=0, factors=0) -> Counters:
@@ -365,7 +373,7 @@ def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, w
     )  # fmt: skip
     if state.p is not None:
         moved = eqx.tree_at(lambda s: s.p, moved, tried.p)
-    moved = select(tried.accepted, moved, state)
+    moved = select(tried.accepted, _with_work(scene, state, moved, h), state)
     next_h = jnp.where(tried.accepted & (h < wanted), jnp.maximum(tried.next_h, wanted), tried.next_h)
     moved = eqx.tree_at(lambda s: s.h_explicit, moved, next_h)
     counters = _count(state.counters, EXPLICIT, tried.accepted, tried.cause)

@@ -10,7 +10,8 @@ STEP, BEFORE, AFTER = 0, 1, 2
 
 
 class Row(NamedTuple):
-    """One line of `history.csv`; energies in J, times in s, counts since the start of the run."""
+    """One line of `history.csv`; energies and work in J, times in s, counts and work since the start of the
+    run."""
 
     kind: Array | int
     t: Array
@@ -34,6 +35,12 @@ class Row(NamedTuple):
     implicit_steps: Array
     explicit_steps: Array
     rejected_steps: Array
+    work_walls: Array
+    work_supports: Array
+    work_drag: Array
+    work_damping: Array
+    work_plastic: Array
+    work_numerical: Array
 
 
 class Trail(NamedTuple):

@@ -1,0 +1,158 @@
+"""Axial crumpling: a sheet rolled into a cylinder and compressed along it, once or again and again (Figs. 7, 9).
+
+After Gottesman et al., Commun. Phys. 1, 70 (2018), in the paper's manner: a cylinder shrinks around the upright
+sheet until it is rolled up, two planes come together along the axis, all walls open, the sheet's edge is pulled
+back to where it was when the sheet was flat, and planes flatten it.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxcrumple.mesh import FloatArray, Mesh
+from jaxcrumple.model.confinement import AbstractShape, Corners, Cylinder, Plane
+from jaxcrumple.model.loads import ElementEnergy
+from jaxcrumple.scenes.setup import Setup
+from jaxcrumple.scenes.sheets import SheetOptions, upright
+from jaxcrumple.scenes.snap import check_positive
+
+# Springs that pull the edge home grow from the first to the second stiffness in N/m.
+PULL = (1e-3, 1.0)
+
+
+class AxialTimes(NamedTuple):
+    """How long each part of a cycle lasts, in s: to `roll` the sheet up, to `compress` it, to `open` the walls,
+    to `unfold` it, to `flatten` it, and to let it `rest` without a pull."""
+
+    roll: float = 0.5
+    compress: float = 1.5
+    open: float = 0.3
+    unfold: float = 0.4
+    flatten: float = 0.2
+    rest: float = 0.1
+
+    @property
+    def cycle(self) -> float:
+        """Time of a whole cycle."""
+        return sum(self)
+
+    def ends(self, cycles: int) -> FloatArray:
+        """Times (cycles, 6) in s at which the parts of each cycle end."""
+        return self.cycle * np.arange(cycles)[:, None] + np.cumsum(self)
+
+
+def cylindrical(
+    nodes: int = 1000,
+    seed: int = 0,
+    *,
+    size: float = 0.1,
+    radius: float = 0.017,
+    height: float = 0.03,
+    roll: float = AxialTimes().roll,
+    compress: float = AxialTimes().compress,
+    **options: Any,
+) -> Setup:
+    """A square sheet of edge `size` that is rolled into a cylinder of `radius` and compressed to `height`.
+
+    **Arguments:** `nodes` of the random mesh made with `seed`; `size`, `radius`, `height` in m; `roll`,
+    `compress`: how long that takes in s; `options` of the sheet: `SheetOptions`.
+
+    **Raises:** ValueError for lengths or times that are not positive, or a height that is not less than the
+    size.
+    """
+    times = AxialTimes(roll, compress)
+    return _setup(nodes, seed, 1, size, radius, height, times, SheetOptions(**options))
+
+
+def axial(
+    nodes: int = 2000,
+    seed: int = 0,
+    *,
+    cycles: int = 5,
+    size: float = 0.1,
+    radius: float = 0.017,
+    height: float = 0.027,
+    roll: float = AxialTimes().roll,
+    compress: float = AxialTimes().compress,
+    open: float = AxialTimes().open,
+    unfold: float = AxialTimes().unfold,
+    flatten: float = AxialTimes().flatten,
+    rest: float = AxialTimes().rest,
+    **options: Any,
+) -> Setup:
+    """A square sheet that is rolled up, compressed, unfolded and flattened, again and again; damage stays.
+
+    **Arguments:** `nodes` of the random mesh made with `seed`; `cycles`: how often; `size`, `radius` of the
+    roll, `height` to which it is compressed in m; `roll`, `compress`, `open`, `unfold`, `flatten`, `rest`: how
+    long each part of a cycle lasts in s; `options` of the sheet: `SheetOptions`.
+
+    **Raises:** ValueError for lengths or times that are not positive, less than one cycle, or a height that is
+    not less than the size.
+    """
+    if cycles < 1:
+        raise ValueError(f"cycles = {cycles!r} must be at least 1.")
+    times = AxialTimes(roll, compress, open, unfold, flatten, rest)
+    return _setup(nodes, seed, cycles, size, radius, height, times, SheetOptions(**options))
+
+
+def _setup(
+    nodes: int,
+    seed: int,
+    cycles: int,
+    size: float,
+    radius: float,
+    height: float,
+    times: AxialTimes,
+    sheet: SheetOptions,
+) -> Setup:
+    check_positive(size=size, radius=radius, height=height, **times._asdict())
+    if height >= size:
+        raise ValueError(f"height = {height} m must be less than the size {size} m of the sheet.")
+    mesh = sheet.square(size, nodes, seed)
+    x = upright(mesh.vertices)
+    wide = 0.5 * size + sheet.clearance + sheet.imperfection
+    walls = _walls(wide, radius, height, times.ends(cycles), sheet.clearance + sheet.imperfection)
+    return sheet.setup(mesh, walls, x=x, extra=[_pull(mesh, x, times, cycles)])
+
+
+def _walls(wide: float, radius: float, height: float, ends: FloatArray, thin: float) -> list[AbstractShape]:
+    """The cylinder, the two planes that compress along z, and the two that flatten along y.
+
+    All are `wide` open, except as they close: `ends` (cycles, 6) in s are those of the parts of each cycle,
+    `thin` in m the half of a gap in which the sheet lies flat.
+    """
+    moments, round_, tall, deep = [0.0], [wide], [wide], [wide]
+    for roll, compress, open_, unfold, flatten, rest in ends:
+        moments += [roll, compress, open_, unfold, flatten, rest]
+        round_ += [radius, radius, wide, wide, wide, wide]
+        tall += [wide, 0.5 * height, wide, wide, wide, wide]
+        deep += [wide, wide, wide, wide, thin, wide]
+    along, across = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.0, 1.0, 0.0])
+    walls: list[AbstractShape] = [Cylinder(jnp.zeros(3), along, Corners(moments, round_))]
+    for normal, half in ((along, tall), (across, deep)):
+        walls += [Plane(sign * normal, Corners(moments, -np.array(half))) for sign in (1.0, -1.0)]
+    return walls
+
+
+def _pull(mesh: Mesh, x: FloatArray, times: AxialTimes, cycles: int) -> ElementEnergy:
+    """Springs between the nodes of the edge and their places `x` (n, 3) in the flat sheet, which grow while it
+    is unfolded, stay while it is flattened, and are gone after that."""
+    edge = jnp.asarray(mesh.boundary_nodes)
+    shared = (jnp.asarray(times.ends(cycles)[:, 2]), jnp.array([times.unfold, times.flatten]))
+    begin, lasts = (jnp.tile(values, (len(edge), 1)) for values in shared)
+    return ElementEnergy(edge[:, None], _spring, (jnp.asarray(x)[edge], begin, lasts))
+
+
+def _spring(x: Array, parameters: tuple[Array, Array, Array], t: Array) -> Array:
+    """Energy in J of one spring: `parameters` are its place (3,), the times (cycles,) in s at which it begins
+    to pull, and how long (2,) it grows and stays."""
+    home, begin, (grows, stays) = parameters
+    since = t - begin
+    low, high = PULL
+    growth = jnp.clip(since / grows, 0.0, 1.0)
+    pulls = (since > 0.0) & (since < grows + stays)
+    stiffness = jnp.sum(jnp.where(pulls, low * jnp.exp(growth * math.log(high / low)), 0.0))
+    return 0.5 * stiffness * jnp.sum((x[0] - home) ** 2)

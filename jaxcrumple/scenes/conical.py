@@ -1,0 +1,72 @@
+"""Conical packing: a disc whose middle is pulled through a small hole (Fig. 7, low and high confinement).
+
+After Mellado, Cheng & Concha, Phys. Rev. E 83, 036607 (2011), and Boué et al., Phys. Rev. Lett. 97, 166104 (2006).
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxcrumple.model.confinement import Corners, Opening
+from jaxcrumple.model.fields import as_float
+from jaxcrumple.model.loads import AbstractMotion, Prescribed
+from jaxcrumple.scenes.setup import Setup
+from jaxcrumple.scenes.sheets import SheetOptions
+from jaxcrumple.scenes.snap import check_positive
+
+
+class Along(AbstractMotion):
+    """All nodes go from `position` (n, 3) in m along `direction` (3,), by a `distance` in m at each time."""
+
+    position: Array = eqx.field(converter=as_float)
+    direction: Array = eqx.field(converter=as_float)
+    distance: Callable[[Array], Array]
+
+    def __call__(self, t: Array) -> Array:
+        """Positions at time `t`."""
+        return self.position + self.distance(t) * self.direction
+
+
+def conical(
+    nodes: int = 1000,
+    seed: int = 0,
+    *,
+    radius: float = 0.05,
+    opening: float = 0.01,
+    edge: float = 0.004,
+    pull: float = 0.025,
+    speed: float = 0.02,
+    grip: float = 0.004,
+    **options: Any,
+) -> Setup:
+    """A disc on a plate with a hole, through which its middle is pulled.
+
+    **Arguments:** `nodes` of the random mesh made with `seed`; `radius` of the disc, `opening`: radius of the
+    hole, `edge`: that to which its rim is rounded, `pull`: how far the middle is pulled, `grip`: radius of what
+    is pulled in m; `speed` of the pull in m/s; `options` of the sheet: `SheetOptions`.
+
+    **Raises:** ValueError for lengths or a speed that are not positive, a grip that does not pass the hole, or
+    one that holds no node.
+    """
+    check_positive(radius=radius, opening=opening, edge=edge, pull=pull, speed=speed, grip=grip)
+    sheet = SheetOptions(**options)
+    if grip + sheet.clearance > opening:
+        raise ValueError(f"grip = {grip} m does not pass a hole of {opening} m; choose a smaller one.")
+    if opening + edge >= radius:
+        raise ValueError(
+            f"opening = {opening} m, with its edge of {edge} m, lets the disc of {radius} m fall through; "
+            "choose a smaller one."
+        )
+    mesh = sheet.disc(radius, nodes, seed)
+    held = np.linalg.norm(mesh.vertices[:, :2], axis=1) < grip
+    if not held.any():
+        raise ValueError(f"grip = {grip} m holds no node; choose a larger one, or more nodes.")
+    x = mesh.vertices + np.array([0.0, 0.0, edge + sheet.clearance + sheet.imperfection])
+    down = jnp.array([0.0, 0.0, -1.0])
+    motion = Along(jnp.asarray(x), down, Corners([0.0, pull / speed], [0.0, pull]))
+    grips = Prescribed(jnp.asarray(np.repeat(held[:, None], 3, axis=1)), motion)
+    return sheet.setup(mesh, [Opening(jnp.zeros(3), -down, opening, edge)], x=x, prescribed=grips)

@@ -1,0 +1,115 @@
+"""The sheets of the scenes: flat, but for a smooth imperfection, or curved at rest; and what surrounds them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxcrumple.material import Material
+from jaxcrumple.mesh import FloatArray, Mesh
+from jaxcrumple.meshgen import disc, rectangle
+from jaxcrumple.model.confinement import AbstractShape
+from jaxcrumple.model.contact import Potential, SelfContact
+from jaxcrumple.model.loads import ElementEnergy, Prescribed
+from jaxcrumple.model.scene import sheet
+from jaxcrumple.scenes.setup import Setup
+
+# Shortest wavelength of the initial imperfection in m, and how many modes each way it has at most.
+IMPERFECTION_WAVELENGTH = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class SheetOptions:
+    """Options that the scenes of crumpled sheets share.
+
+    `imperfection`: largest height in m of a smooth, stress-free initial shape; `sweeps`: Lloyd sweeps of the
+    random mesh; `damping`: "central" or "paper"; `contact`: "penalty", "barrier", or None for a phantom sheet,
+    which passes through itself, with `contact_range` and `contact_level` as in `SelfContact`; `material`:
+    default `Material()`.
+    """
+
+    imperfection: float = 25e-6
+    sweeps: int = 100
+    damping: str = "central"
+    contact: Potential | None = "penalty"
+    contact_range: float | None = None
+    contact_level: int | None = None
+    material: Material = field(default_factory=Material)
+
+    def square(self, size: float, nodes: int, seed: int) -> Mesh:
+        """A square of edge `size` in m around the origin of the plane z = 0, with its imperfection."""
+        flat = rectangle(size, size, nodes, seed=seed, sweeps=self.sweeps)
+        return self._imperfect(flat, size, seed)
+
+    def disc(self, radius: float, nodes: int, seed: int) -> Mesh:
+        """A disc of `radius` in m around the origin of the plane z = 0, with its imperfection."""
+        return self._imperfect(disc(radius, nodes, seed=seed, sweeps=self.sweeps), 2.0 * radius, seed)
+
+    def _imperfect(self, flat: Mesh, size: float, seed: int) -> Mesh:
+        if not (np.isfinite(self.imperfection) and self.imperfection >= 0):
+            raise ValueError(f"imperfection = {self.imperfection!r} m must be zero or positive.")
+        height = smooth_imperfection(flat.vertices[:, :2], size, self.imperfection, seed)
+        return flat.with_rest_shape(flat.vertices + height[:, None] * np.array([0.0, 0.0, 1.0]))
+
+    @property
+    def thickness(self) -> float:
+        """Mean thickness in m, which is the range of walls as well."""
+        return float(np.mean(self.material.thickness))
+
+    @property
+    def clearance(self) -> float:
+        """Distance in m from a wall at which the sheet does not feel it yet."""
+        return 1.1 * self.thickness
+
+    def setup(
+        self,
+        mesh: Mesh,
+        walls: Sequence[AbstractShape],
+        *,
+        x: FloatArray | None = None,
+        prescribed: Prescribed | None = None,
+        extra: Sequence[ElementEnergy] = (),
+    ) -> Setup:
+        """The sheet between its walls, starting at positions `x` (n, 3) in m, by default its rest shape."""
+        contact = None
+        if self.contact is not None:
+            contact = SelfContact(self.contact, self.contact_range, self.contact_level)
+        scene = sheet(
+            mesh,
+            self.material,
+            walls=walls,
+            prescribed=prescribed,
+            extra=extra,
+            damping=self.damping,
+            contact=contact,
+        )
+        return Setup(mesh, scene, jnp.asarray(mesh.vertices if x is None else x), contact, self.material)
+
+
+def smooth_imperfection(points: np.ndarray, size: float, amplitude: float, seed: int) -> np.ndarray:
+    """Random height (n,) of the `points` (n, 2): modes no shorter than 2 cm, largest value `amplitude`."""
+    rng = np.random.default_rng([seed, 1])
+    highest = max(int(2.0 * size / IMPERFECTION_WAVELENGTH), 1)
+    waves = np.arange(1, highest + 1)
+    x, y = (np.cos(np.pi * np.outer(points[:, i] / size + 0.5, waves)) for i in range(2))
+    weights = rng.normal(size=(highest, highest))
+    weights[np.hypot(*np.meshgrid(waves, waves)) > highest] = 0.0
+    height = np.einsum("ni,ij,nj->n", x, weights, y)
+    return amplitude * height / max(np.max(np.abs(height)), np.finfo(float).tiny)
+
+
+def on_ball(vertices: FloatArray, radius: float) -> FloatArray:
+    """Points (n, 3) of a flat sheet wrapped over a ball of `radius` in m below it: distances from the origin,
+    and heights over the sheet's plane, are kept."""
+    flat, height = vertices[:, :2], vertices[:, 2:]
+    reach = np.linalg.norm(flat, axis=1, keepdims=True)
+    away = flat / np.maximum(reach, np.finfo(float).tiny)
+    normal = np.hstack([np.sin(reach / radius) * away, np.cos(reach / radius)])
+    return (radius + height) * normal - np.array([0.0, 0.0, radius])
+
+
+def upright(points: FloatArray) -> FloatArray:
+    """Points (n, 3) of a sheet in the x-y plane turned into the x-z plane: y becomes z, and z -y."""
+    return points[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0])
+

@@ -1,0 +1,101 @@
+"""Stamping: a disc pressed into a die by a ball (Fig. 7), and a curved shell pressed flat.
+
+After Hure, Roman & Bico, Phys. Rev. Lett. 109, 054302 (2012), and, for the shell, Tobasco et al.,
+arXiv:2004.02839.
+"""
+
+import math
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxcrumple.model.confinement import Ball, Corners, Plane, Sphere
+from jaxcrumple.scenes.setup import Setup
+from jaxcrumple.scenes.sheets import SheetOptions, on_ball
+from jaxcrumple.scenes.snap import check_positive
+
+UP = jnp.array([0.0, 0.0, 1.0])
+
+
+def stamping(
+    nodes: int = 1000,
+    seed: int = 0,
+    *,
+    radius: float = 0.05,
+    die: float = 0.053,
+    gap: float = 2e-3,
+    speed: float = 0.02,
+    **options: Any,
+) -> Setup:
+    """A disc that lies in a spherical die, and a ball that presses it to the bottom.
+
+    The ball comes down until its centre is that of the die; then the sheet has the `gap` between them.
+
+    **Arguments:** `nodes` of the random mesh made with `seed`; `radius` of the disc, `die`: that of the
+    spherical die, `gap` in m; `speed` of the ball in m/s; `options` of the sheet: `SheetOptions`.
+
+    **Raises:** ValueError for lengths or a speed that are not positive, a disc that does not fit into the die,
+    or a gap that the sheet fills.
+    """
+    check_positive(radius=radius, die=die, gap=gap, speed=speed)
+    sheet = SheetOptions(**options)
+    rim, least = radius + 2.0 * sheet.clearance, 2.0 * sheet.thickness
+    if die < rim:
+        raise ValueError(f"die = {die} m has no room for a disc of {radius} m; choose at least {rim:.4g} m.")
+    if not least < gap < die:
+        raise ValueError(f"gap = {gap} m must be more than twice the thickness, {least:.3g} m, and less than "
+                         f"the die, {die} m.")  # fmt: skip
+    mesh = sheet.disc(radius, nodes, seed)
+    depth = math.sqrt(die**2 - rim**2)
+    x = mesh.vertices - np.array([0.0, 0.0, depth])
+    ball = die - gap
+    start = ball - depth + sheet.clearance + sheet.imperfection
+    way = Corners([0.0, start / speed], [start, 0.0])
+    return sheet.setup(mesh, [Sphere(jnp.zeros(3), die), Ball(jnp.zeros(3), UP, ball, way)], x=x)
+
+
+def stamping_time(die: float, radius: float, gap: float, speed: float) -> float:
+    """Time in s after which the ball is at the bottom, for a thin sheet."""
+    return (die - gap - math.sqrt(max(die**2 - radius**2, 0.0))) / speed
+
+
+def shell(
+    nodes: int = 1000,
+    seed: int = 0,
+    *,
+    radius: float = 0.05,
+    curvature_radius: float = 0.06,
+    gap: float = 2e-3,
+    speed: float = 0.02,
+    **options: Any,
+) -> Setup:
+    """A shell, at rest a cap of a ball, that a plate presses flat onto another.
+
+    **Arguments:** `nodes` of the random mesh made with `seed`; `radius`: length of the shell from its apex to
+    its rim, `curvature_radius` of the ball, `gap` that is left between the plates in m; `speed` of the upper
+    one in m/s; `options` of the sheet: `SheetOptions`.
+
+    **Raises:** ValueError for lengths or a speed that are not positive, a shell that is more than half of a
+    ball, or a gap that it fills.
+    """
+    check_positive(radius=radius, curvature_radius=curvature_radius, gap=gap, speed=speed)
+    sheet = SheetOptions(**options)
+    least = 2.0 * sheet.thickness
+    if gap <= least:
+        raise ValueError(f"gap = {gap} m must be more than twice the thickness, {least:.3g} m.")
+    if radius > 0.5 * math.pi * curvature_radius:
+        raise ValueError(
+            f"curvature_radius = {curvature_radius} m makes a shell of {radius} m more than half of a ball; "
+            f"choose at least {2.0 * radius / math.pi:.4g} m."
+        )
+    flat = sheet.disc(radius, nodes, seed)
+    mesh = flat.with_rest_shape(on_ball(flat.vertices, curvature_radius))
+    low, high = mesh.vertices[:, 2].min() - sheet.clearance, mesh.vertices[:, 2].max() + sheet.clearance
+    plate = Corners([0.0, (high - low - gap) / speed], [-high, -(low + gap)])
+    return sheet.setup(mesh, [Plane(UP, low), Plane(-UP, plate)])
+
+
+def shell_time(radius: float, curvature_radius: float, gap: float, speed: float) -> float:
+    """Time in s after which the shell is flat, for a thin sheet."""
+    return (curvature_radius * (1.0 - math.cos(radius / curvature_radius)) - gap) / speed
