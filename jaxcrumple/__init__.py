@@ -6,7 +6,17 @@ from jaxcrumple.io import CheckpointError, Run, RunDirectoryError, load
 from jaxcrumple.material import Material
 from jaxcrumple.mesh import Mesh, MeshError
 from jaxcrumple.meshgen import disc, hexagonal, rectangle
-from jaxcrumple.model.confinement import Cone, Cylinder, Plane, Ramp, Sphere, Wall
+from jaxcrumple.model.confinement import (
+    Ball,
+    Cone,
+    Corners,
+    Cylinder,
+    Opening,
+    Plane,
+    Ramp,
+    Sphere,
+    Wall,
+)
 from jaxcrumple.model.contact import SelfContact
 from jaxcrumple.model.loads import ElementEnergy, Gravity, LinearMotion, Prescribed
 from jaxcrumple.model.plasticity import AbstractFlowRule, SmoothstepFlow
@@ -28,9 +38,11 @@ from jaxcrumple.system import elastic_tangent, energies, force, mass_matrix, pot
 __all__ = [
     "RESULTS",
     "AbstractFlowRule",
+    "Ball",
     "CheckpointError",
     "Cone",
     "ConfigError",
+    "Corners",
     "Cylinder",
     "ElementEnergy",
     "Experiment",
@@ -41,6 +53,7 @@ __all__ = [
     "Material",
     "Mesh",
     "MeshError",
+    "Opening",
     "Parameter",
     "Plane",
     "Prescribed",

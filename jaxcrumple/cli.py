@@ -3,6 +3,7 @@
 import importlib.metadata
 import os
 import sys
+import tempfile
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -118,6 +119,10 @@ def calibrate_by_fold(
 
     from jaxcrumple.calibrate import calibrate_fold
 
+    if not 0 < target_angle < 180:
+        raise ValueError(f"--target-angle = {target_angle:g} must lie between 0 and 180 degrees; 180 is flat.")
+    if not (math.isfinite(std) and std > 0):
+        raise ValueError(f"--std = {std:g} must be a positive angle in degrees.")
     if json_file is not None:
         _check_place(json_file, "--json")
     found = calibrate_fold(
@@ -137,6 +142,11 @@ def calibrate_by_fold(
         "evaluations": found.fit.evaluations,
         "gradient_evaluations": found.fit.gradient_evaluations,
         "snaps": found.fit.snaps,
+        "success": found.success,
+        "message": found.fit.message,
+        "target_angle_deg": target_angle,
+        "nodes": nodes,
+        "seed": seed,
     }
     console.print(
         f"yield curvature {found.yield_curvature:.4g} +- {found.std:.2g} 1/m, c0 = {found.c0:.4g}; the fold "
@@ -216,8 +226,11 @@ def _check_place(path: Path, option: str) -> None:
     folder = path.absolute().parent
     if path.is_dir():
         raise ValueError(f"{path} is a folder; give {option} a file.")
-    if not (folder.is_dir() and os.access(folder, os.W_OK)):
-        raise ValueError(f"{folder} is no folder that may be written; give another {option}.")
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return
+    except OSError as error:
+        raise ValueError(f"{folder} is no folder that may be written; give another {option}.") from error
 
 
 def _tell_case(name: str, result: str) -> None:

@@ -42,7 +42,7 @@ DATA = experiment(height(RATE) + NOISE * np.random.default_rng(0).normal(size=le
 def falling(experiment=DATA, rtol_of_runs=1e-6, **options):
     solver = jc.integrator(rtol_of_runs, scheme="dynamic")
     parameters = {"rate": Parameter(400.0, 20.0, 2000.0)}
-    return fit(experiment, parameters, solver=solver, scaled=False, **options)
+    return fit(experiment, parameters, solver=solver, **options)
 
 
 def other_setup(values):
@@ -158,6 +158,8 @@ def test_bad_files_are_refused(tmp_path):
         assert (tmp_path / "fit.jsonl").read_text() == text
     with pytest.raises(ValueError, match="is a folder"):
         falling(checkpoint=tmp_path)
+    with pytest.raises(ValueError, match="cannot write .*check the path"):
+        falling(checkpoint=tmp_path / "fit.jsonl" / "inside" / "fit.jsonl")
 
 
 def test_bad_parameters_are_refused():
@@ -217,5 +219,51 @@ def test_what_cannot_be_evaluated_is_refused_before_any_run(options, message):
 
 
 def test_a_budget_of_steps_ends_a_run_and_the_fit_says_so():
-    with pytest.raises(ValueError, match=r"the run at rate = 400 fails: budget at t = .* \(the budget"):
+    with pytest.raises(ValueError, match=r"rate = 400 fails: budget at t = .* \(its max_attempts = 3 are used up\)"):
         falling(max_attempts=3)
+
+
+def test_a_run_out_of_budget_is_not_kept(tmp_path, found):
+    path = tmp_path / "fit.jsonl"
+    with pytest.raises(ValueError, match="used up"):
+        falling(max_attempts=3, checkpoint=path)
+    assert falling(max_attempts=10_000, checkpoint=path).values == found.values
+
+
+def test_a_fit_tells_its_own_history_of_a_shared_file(tmp_path, found):
+    """Another fit that shares the file has its first run from there, and does not count the others."""
+    path = tmp_path / "fit.jsonl"
+    falling(checkpoint=path)
+    other = falling(method=optax.adam(0.2), max_steps=2, checkpoint=path)
+    assert list(other.history["kind"]).count("gradient") == 2
+    assert other.evaluations == 2
+    assert other.history["seconds"].iloc[0] == 0.0
+    again = falling(checkpoint=path)
+    assert again.evaluations == found.evaluations and not again.history["seconds"].any()
+
+
+def test_a_fit_that_ends_at_a_bound_says_so_and_is_no_success():
+    solver = jc.integrator(1e-5, scheme="dynamic")
+    ended = fit(DATA, {"rate": Parameter(400.0, 300.0, 2000.0)}, solver=solver)
+    assert ended.values["rate"] == pytest.approx(300.0, rel=1e-3)
+    assert not ended.success and "rate is at its lower bound 300" in ended.message
+    assert "lower bound" in repr(ended) and "condition 1" in repr(ended)
+
+
+def test_uncertainties_of_what_residuals_do_not_determine_are_infinite():
+    """The fall's one height tells drag or gravity, not both."""
+
+    def run(values):
+        scene, state = setup(values)
+        return eqx.tree_at(lambda s: s.gravity.g, scene, scene.gravity.g * values["weight"]), state
+
+    end = height(RATE)[-1:]
+    one = Experiment(run, TIMES, lambda frames: (jnp.mean(frames.x[-1:, :, 2], axis=1) - end) / NOISE)
+    parameters = {"rate": Parameter(220.0, 20.0, 2000.0), "weight": Parameter(1.0, 0.5, 2.0)}
+    solver = jc.integrator(1e-4, scheme="dynamic")
+    assert np.all(np.isinf(list(fit(one, parameters, solver=solver).std.values())))
+    with pytest.raises(ValueError, match="1 residuals of 2 parameters leave nothing to scale by"):
+        fit(one, parameters, scaled=True)
+    known = falling(rtol_of_runs=1e-5, scaled=True)
+    spread = 2.0 * known.loss / (len(TIMES) - 1)
+    assert known.std["rate"] / falling(rtol_of_runs=1e-5).std["rate"] == pytest.approx(np.sqrt(spread))

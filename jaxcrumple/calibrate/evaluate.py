@@ -15,10 +15,13 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from jaxcrumple.calibrate.experiment import Experiment, Values, count_residuals, difference, fingerprint
-from jaxcrumple.io.atomic import write_bytes
+from jaxcrumple.io.atomic import refusal, write_bytes
 from jaxcrumple.replay import Record, Replay, replay
 from jaxcrumple.simulate import simulate
 from jaxcrumple.solvers.scheme import Integrator
+
+# Result of a run that a larger budget might lead on; it is not kept in a file.
+BUDGET = "budget"
 
 
 class Evaluations:
@@ -45,6 +48,7 @@ class Evaluations:
         self.solver, self.max_attempts, self.path, self.tell = solver, max_attempts, path, tell
         self.size = count_residuals(experiment, decoded(start))
         self.rows: list[dict[str, Any]] = []
+        self.told: set[tuple[str, str]] = set()
         self.known: dict[tuple[str, str], np.ndarray] = {}
         self.last: tuple[str, Record | None] = ("", None)
         self.failures: dict[str, str] = {}
@@ -79,7 +83,7 @@ class Evaluations:
 
     @property
     def history(self) -> pd.DataFrame:
-        """A line for each evaluation: its kind, the parameters, half the sum of squares, how many snaps the
+        """A line for each evaluation asked for: its kind, the parameters, half the sum of squares, how many snaps the
         run goes through, seconds."""
         return pd.DataFrame(self.rows, columns=["kind", *self.scales, "loss", "snaps", "seconds"])
 
@@ -108,7 +112,8 @@ class Evaluations:
         self.last = (_key(u), solution.record)
         if solution.result != "success":
             reached = f"{solution.result} at t = {float(solution.state.t):.4g} s"
-            return np.empty(0), f"{reached} ({solution.message})"
+            over = f"its max_attempts = {attempts} are used up"
+            return np.empty(0), f"{reached} ({over if solution.result == BUDGET else solution.message})"
         x, v, p = (None if a is None else jnp.asarray(a) for a in (solution.x, solution.v, solution.p))
         assert x is not None and v is not None
         found = self.experiment.residuals(Replay(jnp.asarray(solution.t), x, v, p, jnp.zeros(())))
@@ -128,6 +133,7 @@ class Evaluations:
     def _once(self, kind: str, u: np.ndarray, evaluate: Callable[[np.ndarray], ArrayLike]) -> np.ndarray:
         known = self.known.get((kind, _key(u)))
         if known is not None:
+            self._tell(kind, u, known, 0.0)
             return known
         start = time.perf_counter()
         value = np.asarray(evaluate(np.asarray(u)))
@@ -138,19 +144,24 @@ class Evaluations:
             )
         record = self.last[1]
         snaps = 0 if record is None else int(np.sum(np.isfinite(record.snaps)))
-        self._keep(kind, u, value, snaps, time.perf_counter() - start)
-        if self.path is not None:
+        self.known[kind, _key(u)], self._snaps[_key(u)] = value, snaps
+        self._tell(kind, u, value, time.perf_counter() - start)
+        if self.path is not None and not self.failures.get(_key(u), "").startswith(BUDGET):
             line = {"kind": kind, "u": list(u), "value": value.tolist(), "snaps": snaps}
             line["failure"] = self.failures.get(_key(u), "")
             with self.path.open("a") as file:
                 file.write(json.dumps(line) + "\n")
         return value
 
-    def _keep(self, kind: str, u: np.ndarray, value: np.ndarray, snaps: int, seconds: float) -> None:
-        self.known[kind, _key(u)], self._snaps[_key(u)] = value, snaps
+    def _tell(self, kind: str, u: np.ndarray, value: np.ndarray, seconds: float) -> None:
+        """Add an evaluation to the history, unless it is there."""
+        if (kind, _key(u)) in self.told:
+            return
+        self.told.add((kind, _key(u)))
         loss = 0.5 * float(value @ value) if kind == "residuals" else np.nan
         values = {name: float(number) for name, number in self.decoded(u).items()}
-        self.rows.append({"kind": kind, **values, "loss": loss, "snaps": snaps, "seconds": seconds})
+        spent = {"loss": loss, "snaps": self._snaps[_key(u)], "seconds": seconds}
+        self.rows.append({"kind": kind, **values, **spent})
         self.tell(self.rows[-1])
 
     def _told(self, u: np.ndarray) -> str:
@@ -165,7 +176,10 @@ class Evaluations:
         if not text:
             mark = fingerprint(self.experiment, self.decoded(start), self.solver)
             header = {"fit": self.scales, "u": list(start), "fingerprint": mark}
-            path.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise refusal(path, error) from error
             write_bytes(path, (json.dumps(header) + "\n").encode())
             return
         # What follows the last end of a line is from a fit that was killed.
@@ -188,7 +202,8 @@ class Evaluations:
         for line in lines:
             if line["failure"]:
                 self.failures[_key(np.array(line["u"]))] = line["failure"]
-            self._keep(line["kind"], np.array(line["u"]), np.array(line["value"]), line["snaps"], 0.0)
+            key = _key(np.array(line["u"]))
+            self.known[line["kind"], key], self._snaps[key] = np.array(line["value"]), line["snaps"]
 
 
 def _key(u: np.ndarray) -> str:

@@ -22,6 +22,8 @@ GROWTH = 1.5
 FINEST = 1e-14
 # Where runs fail, a fit that could still lessen its loss by so many times `rtol` has not come to its end.
 BARRED = 10.0
+# Condition of the derivatives from which parameters are not determined: rounding, squared.
+UNDETERMINED = 1e8
 
 
 class Parameter(NamedTuple):
@@ -40,8 +42,9 @@ class Fit:
     `values` and their standard deviations `std` by name; `covariance` (k, k) and `condition`, that of the
     derivatives of the residuals, both by encoded parameters (the logarithm of those on a logarithmic scale);
     `loss`: half the sum of squares of the `residuals` (m,); `snaps`: how many the run at the values goes
-    through, whose instants its derivatives hold fixed; `history`: a line for each evaluation, of which
-    `evaluations` are runs and `gradient_evaluations` derivatives; `success` and why it ended, `message`.
+    through, whose instants its derivatives hold fixed; `history`: a line for each evaluation that it asked
+    for, of which `evaluations` are runs and `gradient_evaluations` derivatives (0 s where its file had them);
+    `success`: whether it came to a minimum within the bounds, and why it ended, `message`.
     """
 
     values: dict[str, float]
@@ -62,7 +65,8 @@ class Fit:
             f"{name} = {value:.5g} +- {self.std[name]:.2g}" for name, value in self.values.items()
         )
         spent = f"{self.evaluations} runs, {self.gradient_evaluations} derivatives"
-        return f"Fit({found}, loss {self.loss:.3g}, {spent}, {'success' if self.success else self.message})"
+        known = f"loss {self.loss:.3g}, condition {self.condition:.2g}"
+        return f"Fit({found}, {known}, {spent}, {'success' if self.success else self.message})"
 
 
 def fit(
@@ -74,7 +78,7 @@ def fit(
     max_steps: int = 30,
     rtol: float = 1e-4,
     max_attempts: int | None = None,
-    scaled: bool = True,
+    scaled: bool = False,
     checkpoint: str | Path | None = None,
     tell: Callable[[Mapping[str, Any]], None] = lambda row: None,
 ) -> Fit:
@@ -87,14 +91,16 @@ def fit(
     - `experiment`: what is run, and how its frames are compared with what was measured.
     - `parameters`: those to be found, by name.
     - `method`: "least-squares", the trust-region method of SciPy with derivatives in forward mode; an
-      optimiser of Optax, with gradients in reverse mode and clipped to the bounds; or "root", Brent's method
+      optimiser of Optax that wants gradients alone, in reverse mode and clipped to the bounds; or "root",
+      Brent's method
       without derivatives for one residual of one parameter, which gets past jumps.
     - `solver`: of the runs, by default `integrator()`.
     - `max_steps`: runs, or steps of an optimiser, at most.
     - `rtol`: relative change of loss or parameters at which it ends.
     - `max_attempts`: step attempts after which a run fails.
-    - `scaled`: whether the uncertainty is scaled so that the residuals have the standard deviation 1;
-      otherwise they are taken to have it.
+    - `scaled`: residuals are over their uncertainty, so that they have the standard deviation 1; where that
+      is not known, whether to scale them to it by what the fit leaves, which takes more residuals than
+      parameters.
     - `checkpoint`: file of all evaluations; a fit that finds one goes on from it to the same answer. It is
       of one experiment and solver; start and bounds may change.
     - `tell`: called with each new line of the history.
@@ -113,6 +119,11 @@ def fit(
     evaluations = Evaluations(experiment, code.decoded, code.start, scales, solver, max_attempts, path, tell)
     if method == "root" and evaluations.size != 1:
         raise ValueError(f"'root' needs one residual for its one parameter, not {evaluations.size}.")
+    if scaled and evaluations.size <= len(parameters):
+        raise ValueError(
+            f"{evaluations.size} residuals of {len(parameters)} parameters leave nothing to scale by: divide "
+            "them by their uncertainty and leave scaled out."
+        )
     first = evaluations.residuals(code.start)
     if not np.all(np.isfinite(first)):
         raise ValueError(f"{evaluations.trouble(code.start)}: choose another start.")
@@ -120,13 +131,18 @@ def fit(
         name for name, own in zip(names, evaluations.jacobian(code.start).T, strict=True) if not own.any()
     ]
     if idle:
-        raise ValueError(f"the residuals do not depend on {idle[0]} at the start: choose another start.")
+        raise ValueError(
+            f"the residuals do not depend on {idle[0]} at the start: choose another start, or leave it out."
+        )
     if method == "least-squares":
         u, success, message = _least_squares(evaluations, code, max_steps, rtol)
     elif method == "root":
         u, success, message = _root(evaluations, code, max_steps, rtol)
     else:
         u, success, message = _descent(evaluations, code, method, max_steps, rtol)
+    bound = code.at_bound(u, rtol)
+    if bound and success:
+        success, message = False, f"{bound}; widen its bounds, or take what this says of the model."
     return _result(evaluations, code, u, scaled, success, message)
 
 
@@ -182,6 +198,15 @@ class _Code:
         """Values by name."""
         powers = jnp.exp(jnp.where(self.log, u, 0.0))
         return dict(zip(self.parameters, jnp.where(self.log, powers, u), strict=True))
+
+    def at_bound(self, u: np.ndarray, rtol: float) -> str:
+        """In words, which parameter is at a bound, if one is."""
+        for index, (name, own) in enumerate(self.parameters.items()):
+            near = rtol * (self.upper[index] - self.lower[index])
+            for side, bound, value in (("lower", self.lower, own.lower), ("upper", self.upper, own.upper)):
+                if abs(u[index] - bound[index]) <= near:
+                    return f"{name} is at its {side} bound {value:g}"
+        return ""
 
 
 def _least_squares(evaluations: Evaluations, code: _Code, max_steps: int, rtol: float):
@@ -245,9 +270,11 @@ def _descent(evaluations: Evaluations, code: _Code, method: optax.GradientTransf
 
 def _result(evaluations: Evaluations, code: _Code, u, scaled: bool, success: bool, message: str) -> Fit:
     residuals, jacobian = evaluations.residuals(u), evaluations.jacobian(u)
-    free = max(len(residuals) - len(u), 1)
-    spread = float(residuals @ residuals) / free if scaled else 1.0
-    covariance = spread * np.linalg.pinv(jacobian.T @ jacobian)
+    spread = float(residuals @ residuals) / (len(residuals) - len(u)) if scaled else 1.0
+    condition = float(np.linalg.cond(jacobian))
+    covariance = np.full((len(u), len(u)), np.inf)
+    if len(residuals) >= len(u) and condition < UNDETERMINED:
+        covariance = spread * np.linalg.inv(jacobian.T @ jacobian)
     values = {name: float(value) for name, value in code.decoded(u).items()}
     rate = np.where(code.log, np.array(list(values.values())), 1.0)
     std = dict(zip(values, rate * np.sqrt(np.diag(covariance)), strict=True))
@@ -257,7 +284,7 @@ def _result(evaluations: Evaluations, code: _Code, u, scaled: bool, success: boo
         values=values,
         std={name: float(value) for name, value in std.items()},
         covariance=covariance,
-        condition=float(np.linalg.cond(jacobian)),
+        condition=condition,
         loss=0.5 * float(residuals @ residuals),
         residuals=residuals,
         snaps=evaluations.snaps(u),

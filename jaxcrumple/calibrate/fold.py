@@ -8,6 +8,7 @@ from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 
 from jaxcrumple.calibrate.experiment import Experiment
 from jaxcrumple.calibrate.fit import Fit, Parameter, fit
@@ -84,14 +85,16 @@ def calibrate_fold(
         # Nothing in it is so fast that explicit steps would pay.
         options: dict[str, Any] = {
             "solver": solver or integrator(scheme="dynamic"),
-            "scaled": False,
             "checkpoint": checkpoint or Path(folder) / "fit.jsonl",
             "tell": tell,
         }
         if method == "least-squares":
             found = fit(experiment, {YIELD: start}, **options)
-        if method == "root" or abs(found.residuals[0]) > MISSED:
+        if method == "root":
             found = fit(experiment, {YIELD: start}, method="root", rtol=WIDTH, **options)
+        elif abs(found.residuals[0]) > MISSED:
+            second = fit(experiment, {YIELD: start}, method="root", rtol=WIDTH, **options)
+            found = _together(found, second)
     value, deviation = found.values[YIELD], found.std[YIELD]
     c0 = replace(own, yield_curvature=value).discretize(setup.mesh).c0
     assert c0 is not None
@@ -99,3 +102,11 @@ def calibrate_fold(
     return FoldCalibration(
         value, deviation, mean, mean * deviation / value, angle + std * off, abs(off) <= 1.0, found
     )
+
+
+def _together(first: Fit, second: Fit) -> Fit:
+    """The second of two fits that share their evaluations, with the history of both."""
+    history = pd.concat([first.history, second.history], ignore_index=True)
+    history = history.drop_duplicates(["kind", YIELD], ignore_index=True)
+    runs = int((history["kind"] == "residuals").sum())
+    return replace(second, history=history, evaluations=runs, gradient_evaluations=len(history) - runs)

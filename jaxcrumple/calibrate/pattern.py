@@ -84,7 +84,7 @@ def calibrate_pattern(
         return ((frames.p - seen) / deviation).reshape(-1)
 
     experiment = Experiment(run, moments, residuals)
-    found = fit(experiment, parameters, solver=solver, scaled=False, checkpoint=checkpoint, tell=tell)
+    found = fit(experiment, parameters, solver=solver, checkpoint=checkpoint, tell=tell)
     spread = np.sqrt(np.mean(found.residuals**2))
     if not spread < WRONG:
         told = f"the patterns are missed by {spread:.3g} standard deviations: start from another place."

@@ -20,7 +20,7 @@ from jaxcrumple.scenes.sheets import SheetOptions, upright
 from jaxcrumple.scenes.snap import check_positive
 
 # Springs that pull the edge home grow from the first to the second stiffness in N/m.
-PULL = (1e-3, 1.0)
+PULL = (1e-3, 100.0)
 
 
 class AxialTimes(NamedTuple):
@@ -30,8 +30,8 @@ class AxialTimes(NamedTuple):
     roll: float = 0.5
     compress: float = 1.5
     open: float = 0.3
-    unfold: float = 0.4
-    flatten: float = 0.2
+    unfold: float = 0.5
+    flatten: float = 0.3
     rest: float = 0.1
 
     @property
@@ -64,7 +64,7 @@ def cylindrical(
     size.
     """
     times = AxialTimes(roll, compress)
-    return _setup(nodes, seed, 1, size, radius, height, times, SheetOptions(**options))
+    return _setup(nodes, seed, 1, size, radius, height, size, times, SheetOptions(**options))
 
 
 def axial(
@@ -75,6 +75,7 @@ def axial(
     size: float = 0.1,
     radius: float = 0.017,
     height: float = 0.027,
+    gap: float = 2e-3,
     roll: float = AxialTimes().roll,
     compress: float = AxialTimes().compress,
     open: float = AxialTimes().open,
@@ -86,16 +87,16 @@ def axial(
     """A square sheet that is rolled up, compressed, unfolded and flattened, again and again; damage stays.
 
     **Arguments:** `nodes` of the random mesh made with `seed`; `cycles`: how often; `size`, `radius` of the
-    roll, `height` to which it is compressed in m; `roll`, `compress`, `open`, `unfold`, `flatten`, `rest`: how
+    roll, `height` to which it is compressed, `gap` between the planes that flatten it in m; `roll`, `compress`, `open`, `unfold`, `flatten`, `rest`: how
     long each part of a cycle lasts in s; `options` of the sheet: `SheetOptions`.
 
-    **Raises:** ValueError for lengths or times that are not positive, less than one cycle, or a height that is
-    not less than the size.
+    **Raises:** ValueError for lengths or times that are not positive, less than one cycle, a height that is
+    not less than the size, or a gap that the sheet fills.
     """
     if cycles < 1:
         raise ValueError(f"cycles = {cycles!r} must be at least 1.")
     times = AxialTimes(roll, compress, open, unfold, flatten, rest)
-    return _setup(nodes, seed, cycles, size, radius, height, times, SheetOptions(**options))
+    return _setup(nodes, seed, cycles, size, radius, height, gap, times, SheetOptions(**options))
 
 
 def _setup(
@@ -105,24 +106,27 @@ def _setup(
     size: float,
     radius: float,
     height: float,
+    gap: float,
     times: AxialTimes,
     sheet: SheetOptions,
 ) -> Setup:
-    check_positive(size=size, radius=radius, height=height, **times._asdict())
+    check_positive(size=size, radius=radius, height=height, gap=gap, **times._asdict())
     if height >= size:
         raise ValueError(f"height = {height} m must be less than the size {size} m of the sheet.")
+    if gap <= 2.0 * sheet.thickness:
+        raise ValueError(f"gap = {gap} m must be more than twice the thickness, {2 * sheet.thickness:.3g} m.")
     mesh = sheet.square(size, nodes, seed)
     x = upright(mesh.vertices)
     wide = 0.5 * size + sheet.clearance + sheet.imperfection
-    walls = _walls(wide, radius, height, times.ends(cycles), sheet.clearance + sheet.imperfection)
+    walls = _walls(wide, radius, height, 0.5 * gap, times.ends(cycles))
     return sheet.setup(mesh, walls, x=x, extra=[_pull(mesh, x, times, cycles)])
 
 
-def _walls(wide: float, radius: float, height: float, ends: FloatArray, thin: float) -> list[AbstractShape]:
+def _walls(wide: float, radius: float, height: float, thin: float, ends: FloatArray) -> list[AbstractShape]:
     """The cylinder, the two planes that compress along z, and the two that flatten along y.
 
-    All are `wide` open, except as they close: `ends` (cycles, 6) in s are those of the parts of each cycle,
-    `thin` in m the half of a gap in which the sheet lies flat.
+    All are `wide` open, except as they close: to `radius`, `height`, and twice `thin` in m; `ends` (cycles, 6)
+    in s are those of the parts of each cycle.
     """
     moments, round_, tall, deep = [0.0], [wide], [wide], [wide]
     for roll, compress, open_, unfold, flatten, rest in ends:

@@ -93,6 +93,7 @@ class AxialOptions(CylindricalOptions):
 
     cycles: int = Field(5, ge=1, le=1000)
     height: float = Field(0.027, gt=0)
+    gap: float = Field(2e-3, gt=0)
     open: float = Field(AXIAL.open, gt=0)
     unfold: float = Field(AXIAL.unfold, gt=0)
     flatten: float = Field(AXIAL.flatten, gt=0)
