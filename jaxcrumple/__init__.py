@@ -24,7 +24,26 @@ from jaxcrumple.model.scene import Scene, sheet
 from jaxcrumple.renewal import with_contacts
 from jaxcrumple.replay import Record, Replay, replay
 from jaxcrumple.run import resume_run, start_run
-from jaxcrumple.scenes import Setup, arch, cap, energy_drop, fold, fold_angle, radial, relaxed_drop
+from jaxcrumple.scenes import (
+    Setup,
+    arch,
+    axial,
+    cap,
+    conical,
+    cylindrical,
+    dcone,
+    energy_drop,
+    fold,
+    fold_angle,
+    free_sector,
+    radial,
+    relaxed_drop,
+    ridge,
+    ridge_curvature,
+    shell,
+    stamping,
+    unload,
+)
 from jaxcrumple.simulate import SimulationError, Solution, frame_times, simulate
 from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.relax import relax
@@ -73,11 +92,15 @@ __all__ = [
     "Switch",
     "Wall",
     "arch",
+    "axial",
     "calibrate_fold",
     "calibrate_pattern",
     "campaign",
     "cap",
     "configure",
+    "conical",
+    "cylindrical",
+    "dcone",
     "disc",
     "elastic_tangent",
     "energies",
@@ -87,6 +110,7 @@ __all__ = [
     "fold_angle",
     "force",
     "frame_times",
+    "free_sector",
     "grid",
     "hexagonal",
     "initial_state",
@@ -102,10 +126,15 @@ __all__ = [
     "relaxed_drop",
     "replay",
     "resume_run",
+    "ridge",
+    "ridge_curvature",
     "sheet",
+    "shell",
     "simulate",
+    "stamping",
     "start_run",
     "sweep",
     "tangent",
+    "unload",
     "with_contacts",
 ]

@@ -120,7 +120,9 @@ def calibrate_by_fold(
     from jaxcrumple.calibrate import calibrate_fold
 
     if not 0 < target_angle < 180:
-        raise ValueError(f"--target-angle = {target_angle:g} must lie between 0 and 180 degrees; 180 is flat.")
+        raise ValueError(
+            f"--target-angle = {target_angle:g} must lie between 0 and 180 degrees; 180 is flat."
+        )
     if not (math.isfinite(std) and std > 0):
         raise ValueError(f"--std = {std:g} must be a positive angle in degrees.")
     if json_file is not None:

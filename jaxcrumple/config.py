@@ -47,7 +47,8 @@ class MaterialOptions(Options):
 
 
 class SolverOptions(Options):
-    """The integrator, None meaning the scheme's own; see `integrator` and `Switch`. `ledger`: of work, see `Work`."""
+    """The integrator, None meaning the scheme's own; see `integrator` and `Switch`. `ledger`: of work,
+    see `Work`."""
 
     rtol: float = Field(1e-2, gt=0, lt=0.1, allow_inf_nan=False)
     scheme: Scheme = "hybrid"

@@ -158,7 +158,7 @@ def test_bad_files_are_refused(tmp_path):
         assert (tmp_path / "fit.jsonl").read_text() == text
     with pytest.raises(ValueError, match="is a folder"):
         falling(checkpoint=tmp_path)
-    with pytest.raises(ValueError, match="cannot write .*check the path"):
+    with pytest.raises(ValueError, match=r"cannot write .*check the path"):
         falling(checkpoint=tmp_path / "fit.jsonl" / "inside" / "fit.jsonl")
 
 
@@ -219,7 +219,9 @@ def test_what_cannot_be_evaluated_is_refused_before_any_run(options, message):
 
 
 def test_a_budget_of_steps_ends_a_run_and_the_fit_says_so():
-    with pytest.raises(ValueError, match=r"rate = 400 fails: budget at t = .* \(its max_attempts = 3 are used up\)"):
+    with pytest.raises(
+        ValueError, match=r"rate = 400 fails: budget at t = .* \(its max_attempts = 3 are used up\)"
+    ):
         falling(max_attempts=3)
 
 

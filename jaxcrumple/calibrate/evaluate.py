@@ -83,8 +83,8 @@ class Evaluations:
 
     @property
     def history(self) -> pd.DataFrame:
-        """A line for each evaluation asked for: its kind, the parameters, half the sum of squares, how many snaps the
-        run goes through, seconds."""
+        """A line for each evaluation asked for: its kind, the parameters, half the sum of squares, how
+        many snaps the run goes through, seconds."""
         return pd.DataFrame(self.rows, columns=["kind", *self.scales, "loss", "snaps", "seconds"])
 
     def _run(self, u: np.ndarray) -> np.ndarray:

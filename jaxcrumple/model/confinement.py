@@ -42,8 +42,8 @@ class Ramp(eqx.Module):
 
 
 class Corners(eqx.Module):
-    """A number that goes straight from one of `values` (m,) to the next at `times` (m,) in s, and stays at the
-    first and at the last."""
+    """A number that goes straight from one of `values` (m,) to the next at `times` (m,) in s, and stays
+    at the first and at the last."""
 
     times: Array = eqx.field(converter=as_float)
     values: Array = eqx.field(converter=as_float)
@@ -53,7 +53,7 @@ class Corners(eqx.Module):
         return jnp.interp(t, self.times, self.values)
 
 
-def _of_time(value: ArrayLike | Callable[[Array], Array]) -> Callable[[Array], Array]:
+def of_time(value: ArrayLike | Callable[[Array], Array]) -> Callable[[Array], Array]:
     """A number that never changes as a function of time."""
     return value if callable(value) else Ramp(as_float(value), as_float(0.0))
 
@@ -70,7 +70,7 @@ class Sphere(AbstractShape):
     """The inside of a sphere: `center` (3,) in m, `radius` in m, a number or a callable of time."""
 
     center: Array = eqx.field(converter=as_float)
-    radius: Callable[[Array], Array] = eqx.field(converter=_of_time)
+    radius: Callable[[Array], Array] = eqx.field(converter=of_time)
 
     def gap(self, point: Array, t: Array) -> Array:
         """Radius minus distance from the centre."""
@@ -86,7 +86,7 @@ class Cylinder(AbstractShape):
 
     center: Array = eqx.field(converter=as_float)
     axis: Array = eqx.field(converter=as_float)
-    radius: Callable[[Array], Array] = eqx.field(converter=_of_time)
+    radius: Callable[[Array], Array] = eqx.field(converter=of_time)
 
     def gap(self, point: Array, t: Array) -> Array:
         """Radius minus distance from the axis."""
@@ -102,7 +102,7 @@ class Plane(AbstractShape):
     """
 
     normal: Array = eqx.field(converter=as_float)
-    offset: Callable[[Array], Array] = eqx.field(converter=_of_time)
+    offset: Callable[[Array], Array] = eqx.field(converter=of_time)
 
     def gap(self, point: Array, t: Array) -> Array:
         """Height above the plane."""
@@ -119,7 +119,7 @@ class Cone(AbstractShape):
     center: Array = eqx.field(converter=as_float)
     axis: Array = eqx.field(converter=as_float)
     half_angle: Array = eqx.field(converter=as_float)
-    height: Callable[[Array], Array] = eqx.field(converter=_of_time)
+    height: Callable[[Array], Array] = eqx.field(converter=of_time)
 
     def gap(self, point: Array, t: Array) -> Array:
         """Distance from the cone's surface."""
@@ -139,7 +139,7 @@ class Ball(AbstractShape):
     center: Array = eqx.field(converter=as_float)
     axis: Array = eqx.field(converter=as_float)
     radius: Array = eqx.field(converter=as_float)
-    height: Callable[[Array], Array] = eqx.field(converter=_of_time)
+    height: Callable[[Array], Array] = eqx.field(converter=of_time)
 
     def gap(self, point: Array, t: Array) -> Array:
         """Distance from the centre minus radius."""
@@ -157,7 +157,7 @@ class Opening(AbstractShape):
 
     center: Array = eqx.field(converter=as_float)
     axis: Array = eqx.field(converter=as_float)
-    radius: Callable[[Array], Array] = eqx.field(converter=_of_time)
+    radius: Callable[[Array], Array] = eqx.field(converter=of_time)
     edge: Array = eqx.field(converter=as_float)
 
     def gap(self, point: Array, t: Array) -> Array:

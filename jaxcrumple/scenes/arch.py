@@ -8,8 +8,8 @@ from jaxcrumple.mesh import Mesh
 from jaxcrumple.meshgen import hexagonal
 from jaxcrumple.model.loads import dead_load
 from jaxcrumple.model.scene import sheet
-from jaxcrumple.scenes.sheets import smooth_imperfection
 from jaxcrumple.scenes.setup import Setup
+from jaxcrumple.scenes.sheets import smooth_imperfection
 from jaxcrumple.scenes.snap import check_positive, fixed, sheet_material
 
 # Height of a lattice row in units of the spacing.

@@ -1,8 +1,9 @@
-"""Axial crumpling: a sheet rolled into a cylinder and compressed along it, once or again and again (Figs. 7, 9).
+"""Axial crumpling: a sheet rolled into a cylinder and compressed along it, once or again and again (Figs.
+7, 9).
 
-After Gottesman et al., Commun. Phys. 1, 70 (2018), in the paper's manner: a cylinder shrinks around the upright
-sheet until it is rolled up, two planes come together along the axis, all walls open, the sheet's edge is pulled
-back to where it was when the sheet was flat, and planes flatten it.
+After Gottesman et al., Commun. Phys. 1, 70 (2018), in the paper's manner: a cylinder shrinks around the
+upright sheet until it is rolled up, two planes come together along the axis, all walls open, the sheet's
+edge is pulled back to where it was when the sheet was flat, and planes flatten it.
 """
 
 import math
@@ -24,8 +25,8 @@ PULL = (1e-3, 100.0)
 
 
 class AxialTimes(NamedTuple):
-    """How long each part of a cycle lasts, in s: to `roll` the sheet up, to `compress` it, to `open` the walls,
-    to `unfold` it, to `flatten` it, and to let it `rest` without a pull."""
+    """How long each part of a cycle lasts, in s: to `roll` the sheet up, to `compress` it, to `open` the
+    walls, to `unfold` it, to `flatten` it, and to let it `rest` without a pull."""
 
     roll: float = 0.5
     compress: float = 1.5
@@ -87,8 +88,9 @@ def axial(
     """A square sheet that is rolled up, compressed, unfolded and flattened, again and again; damage stays.
 
     **Arguments:** `nodes` of the random mesh made with `seed`; `cycles`: how often; `size`, `radius` of the
-    roll, `height` to which it is compressed, `gap` between the planes that flatten it in m; `roll`, `compress`, `open`, `unfold`, `flatten`, `rest`: how
-    long each part of a cycle lasts in s; `options` of the sheet: `SheetOptions`.
+    roll, `height` to which it is compressed, `gap` between the planes that flatten it in m; `roll`,
+    `compress`, `open`, `unfold`, `flatten`, `rest`: how long each part of a cycle lasts in s; `options` of
+    the sheet: `SheetOptions`.
 
     **Raises:** ValueError for lengths or times that are not positive, less than one cycle, a height that is
     not less than the size, or a gap that the sheet fills.
@@ -125,8 +127,8 @@ def _setup(
 def _walls(wide: float, radius: float, height: float, thin: float, ends: FloatArray) -> list[AbstractShape]:
     """The cylinder, the two planes that compress along z, and the two that flatten along y.
 
-    All are `wide` open, except as they close: to `radius`, `height`, and twice `thin` in m; `ends` (cycles, 6)
-    in s are those of the parts of each cycle.
+    All are `wide` open, except as they close: to `radius`, `height`, and twice `thin` in m; `ends` (cycles,
+    6) in s are those of the parts of each cycle.
     """
     moments, round_, tall, deep = [0.0], [wide], [wide], [wide]
     for roll, compress, open_, unfold, flatten, rest in ends:
@@ -135,15 +137,19 @@ def _walls(wide: float, radius: float, height: float, thin: float, ends: FloatAr
         tall += [wide, 0.5 * height, wide, wide, wide, wide]
         deep += [wide, wide, wide, wide, thin, wide]
     along, across = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.0, 1.0, 0.0])
-    walls: list[AbstractShape] = [Cylinder(jnp.zeros(3), along, Corners(moments, round_))]
+    walls: list[AbstractShape] = [Cylinder(jnp.zeros(3), along, _corners(moments, round_))]
     for normal, half in ((along, tall), (across, deep)):
-        walls += [Plane(sign * normal, Corners(moments, -np.array(half))) for sign in (1.0, -1.0)]
+        walls += [Plane(sign * normal, _corners(moments, [-value for value in half])) for sign in (1.0, -1.0)]
     return walls
 
 
+def _corners(moments: list[float], values: list[float]) -> Corners:
+    return Corners(jnp.array(moments), jnp.array(values))
+
+
 def _pull(mesh: Mesh, x: FloatArray, times: AxialTimes, cycles: int) -> ElementEnergy:
-    """Springs between the nodes of the edge and their places `x` (n, 3) in the flat sheet, which grow while it
-    is unfolded, stay while it is flattened, and are gone after that."""
+    """Springs between the nodes of the edge and their places `x` (n, 3) in the flat sheet, which grow
+    while it is unfolded, stay while it is flattened, and are gone after that."""
     edge = jnp.asarray(mesh.boundary_nodes)
     shared = (jnp.asarray(times.ends(cycles)[:, 2]), jnp.array([times.unfold, times.flatten]))
     begin, lasts = (jnp.tile(values, (len(edge), 1)) for values in shared)

@@ -11,8 +11,10 @@ from jaxcrumple.scenes.arch import arch
 from jaxcrumple.scenes.axial import AxialTimes, axial, cylindrical
 from jaxcrumple.scenes.cap import cap
 from jaxcrumple.scenes.conical import conical
+from jaxcrumple.scenes.dcone import dcone, dcone_time
 from jaxcrumple.scenes.fold import TIMES, FoldTimes, fold
 from jaxcrumple.scenes.radial import radial, unload
+from jaxcrumple.scenes.ridge import ridge
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.stamping import shell, shell_time, stamping, stamping_time
 
@@ -129,6 +131,23 @@ class ConicalOptions(SheetModel):
     grip: float = Field(4e-3, gt=0)
 
 
+class RidgeOptions(SheetModel):
+    """Options of `ridge`; lengths in m, angle in rad, time in s."""
+
+    length: float = Field(0.1, gt=0)
+    width: float = Field(0.1, gt=0)
+    turn: float = Field(0.5 * math.pi, gt=0, lt=math.pi)
+    close: float = Field(0.2, gt=0)
+
+
+class DconeOptions(SheetModel):
+    """Options of `dcone`; length in m, speed in m/s."""
+
+    radius: float = Field(0.05, gt=0)
+    slope: float = Field(0.1, gt=0)
+    speed: float = Field(0.02, gt=0)
+
+
 class SnapOptions(BaseModel):
     """Options that `arch` and `cap` share; load in N, its time of growth `ramp` in s."""
 
@@ -233,11 +252,26 @@ SCENES: dict[str, SceneEntry] = {
         lambda o: o["pull"] / o["speed"],
         "disc whose middle is pulled through a small hole (Fig. 7)",
     ),
+    "ridge": SceneEntry(
+        ridge,
+        RidgeOptions,
+        lambda o: 1.5 * o["close"],
+        "sheet whose ends are bent to a sharp corner, with a ridge between them",
+    ),
+    "dcone": SceneEntry(
+        dcone,
+        DconeOptions,
+        lambda o: 1.5 * dcone_time(o["radius"], o["slope"], o["speed"]),
+        "disc whose middle is pushed into a hollow cone: a developable cone",
+    ),
     "arch": SceneEntry(
         arch, ArchOptions, _always(0.05), "clamped shallow arch that snaps through under a load at midspan"
     ),
     "cap": SceneEntry(
-        cap, CapOptions, _always(0.05), "shallow spherical cap, pinned at its rim, that a load turns inside out"
+        cap,
+        CapOptions,
+        _always(0.05),
+        "shallow spherical cap, pinned at its rim, that a load turns inside out",
     ),
     "fold": SceneEntry(
         fold,

@@ -1,6 +1,7 @@
 """Conical packing: a disc whose middle is pulled through a small hole (Fig. 7, low and high confinement).
 
-After Mellado, Cheng & Concha, Phys. Rev. E 83, 036607 (2011), and Boué et al., Phys. Rev. Lett. 97, 166104 (2006).
+After Mellado, Cheng & Concha, Phys. Rev. E 83, 036607 (2011), and Boué et al., Phys. Rev. Lett. 97, 166104
+(2006).
 """
 
 from collections.abc import Callable
@@ -11,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxcrumple.model.confinement import Corners, Opening
+from jaxcrumple.model.confinement import Corners, Opening, of_time
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.loads import AbstractMotion, Prescribed
 from jaxcrumple.scenes.setup import Setup
@@ -45,12 +46,12 @@ def conical(
 ) -> Setup:
     """A disc on a plate with a hole, through which its middle is pulled.
 
-    **Arguments:** `nodes` of the random mesh made with `seed`; `radius` of the disc, `opening`: radius of the
-    hole, `edge`: that to which its rim is rounded, `pull`: how far the middle is pulled, `grip`: radius of what
-    is pulled in m; `speed` of the pull in m/s; `options` of the sheet: `SheetOptions`.
+    **Arguments:** `nodes` of the random mesh made with `seed`; `radius` of the disc, `opening`: radius of
+    the hole, `edge`: that to which its rim is rounded, `pull`: how far the middle is pulled, `grip`: radius
+    of what is pulled in m; `speed` of the pull in m/s; `options` of the sheet: `SheetOptions`.
 
-    **Raises:** ValueError for lengths or a speed that are not positive, a grip that does not pass the hole, or
-    one that holds no node.
+    **Raises:** ValueError for lengths or a speed that are not positive, a grip that does not pass the hole,
+    or one that holds no node.
     """
     check_positive(radius=radius, opening=opening, edge=edge, pull=pull, speed=speed, grip=grip)
     sheet = SheetOptions(**options)
@@ -67,6 +68,8 @@ def conical(
         raise ValueError(f"grip = {grip} m holds no node; choose a larger one, or more nodes.")
     x = mesh.vertices + np.array([0.0, 0.0, edge + sheet.clearance + sheet.imperfection])
     down = jnp.array([0.0, 0.0, -1.0])
-    motion = Along(jnp.asarray(x), down, Corners([0.0, pull / speed], [0.0, pull]))
+    motion = Along(jnp.asarray(x), down, Corners(jnp.array([0.0, pull / speed]), jnp.array([0.0, pull])))
     grips = Prescribed(jnp.asarray(np.repeat(held[:, None], 3, axis=1)), motion)
-    return sheet.setup(mesh, [Opening(jnp.zeros(3), -down, opening, edge)], x=x, prescribed=grips)
+    return sheet.setup(
+        mesh, [Opening(jnp.zeros(3), -down, of_time(opening), as_float(edge))], x=x, prescribed=grips
+    )

@@ -1,7 +1,7 @@
 """A developable cone: a disc whose middle is pushed into a hollow cone (Cerda & Mahadevan 1998, 2005).
 
-It touches the cone everywhere but in one sector, where it bends away. For shallow cones the angle of that sector
-depends on nothing and is about 139 degrees.
+It touches the cone everywhere but in one sector, where it bends away. For shallow cones the angle of that
+sector depends on nothing and is about 139 degrees.
 """
 
 import math
@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 
 from jaxcrumple.mesh import FloatArray
 from jaxcrumple.model.confinement import Cone, Corners
+from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.loads import LinearMotion, Prescribed
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions
@@ -33,8 +34,8 @@ def dcone(
 ) -> Setup:
     """A disc whose middle is held while a hollow cone comes up around it.
 
-    **Arguments:** `nodes` of the random mesh made with `seed`; `radius` of the disc in m; `slope` of the cone's
-    side; `speed` of the cone in m/s; `options` of the sheet: `SheetOptions`.
+    **Arguments:** `nodes` of the random mesh made with `seed`; `radius` of the disc in m; `slope` of the
+    cone's side; `speed` of the cone in m/s; `options` of the sheet: `SheetOptions`.
 
     **Raises:** ValueError for a radius, a slope or a speed that is not positive.
     """
@@ -45,8 +46,8 @@ def dcone(
     # At last the middle is as far from the tip as where the cone is not felt any more.
     lowest = -(sheet.clearance + sheet.imperfection + radius * math.sin(tilt)) / math.cos(tilt)
     highest = -sheet.thickness / math.cos(tilt)
-    tip = Corners([0.0, (highest - lowest) / speed], [lowest, highest])
-    cone = Cone(jnp.zeros(3), jnp.array([0.0, 0.0, 1.0]), 0.5 * math.pi - tilt, tip)
+    tip = Corners(jnp.array([0.0, (highest - lowest) / speed]), jnp.array([lowest, highest]))
+    cone = Cone(jnp.zeros(3), jnp.array([0.0, 0.0, 1.0]), as_float(0.5 * math.pi - tilt), tip)
     middle = int(np.argmin(np.linalg.norm(mesh.vertices[:, :2], axis=1)))
     held = np.zeros((mesh.n_nodes, 3), bool)
     held[middle] = True
@@ -60,7 +61,8 @@ def dcone_time(radius: float, slope: float, speed: float) -> float:
 
 
 def free_sector(setup: Setup, x: FloatArray, t: float) -> float:
-    """Angle in rad of the sector in which a d-cone is off its cone, at positions `x` (n, 3) in m and time `t`.
+    """Angle in rad of the sector in which a d-cone is off its cone, at positions `x` (n, 3) in m and time
+    `t`.
 
     A line of heights over the cone as a share of the distance from the middle, against the angle around it,
     leaves zero as the cube of the angle at both ends of the sector, for the force there is concentrated; the
@@ -69,7 +71,7 @@ def free_sector(setup: Setup, x: FloatArray, t: float) -> float:
     flat = np.linalg.norm(setup.mesh.vertices[:, :2], axis=1)
     share = flat / flat.max()
     ring = (share > RING[0]) & (share < RING[1])
-    gap = np.asarray(setup.scene.walls[0].gap(jnp.asarray(x), t))[ring]
+    gap = np.asarray(setup.scene.walls[0].gap(jnp.asarray(x), as_float(t)))[ring]
     angle = np.arctan2(x[ring, 1], x[ring, 0])
     lifted = (gap - np.quantile(gap, 0.25)) / flat[ring]
     middle = np.angle(np.sum(lifted * np.exp(1j * angle)))

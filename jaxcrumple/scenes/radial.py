@@ -59,8 +59,8 @@ def unload(
 
     **Arguments:** as of `radial`; `least` in m; `hold` in s.
 
-    **Raises:** ValueError for lengths, a speed or a time that are not positive, a least radius that is not the
-    smaller one, or a sheet that does not fit.
+    **Raises:** ValueError for lengths, a speed or a time that are not positive, a least radius that is not
+    the smaller one, or a sheet that does not fit.
     """
     check_positive(size=size, radius=radius, least=least, speed=speed, hold=hold)
     if least >= radius:
@@ -68,7 +68,7 @@ def unload(
     _check_fits(size, radius)
     way = (radius - least) / speed
     moments = [0.0, way, way + hold, 2.0 * way + hold]
-    wall = Sphere(jnp.zeros(3), Corners(moments, [radius, least, least, radius]))
+    wall = Sphere(jnp.zeros(3), Corners(jnp.array(moments), jnp.array([radius, least, least, radius])))
     sheet = SheetOptions(**options)
     return sheet.setup(sheet.square(size, nodes, seed), [wall])
 

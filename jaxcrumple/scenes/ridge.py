@@ -1,7 +1,7 @@
 """A minimal ridge: a sheet that is bent to a sharp corner at two opposite edges.
 
-Lobkovsky et al., Science 270, 1482 (1995): between the two corners a ridge sags, whose curvature at its middle
-times its length X grows as $(\\sqrt{\\kappa/Y}/X)^{-1/3}$.
+Lobkovsky et al., Science 270, 1482 (1995): between the two corners a ridge sags, whose curvature at its
+middle times its length X grows as $(\\sqrt{\\kappa/Y}/X)^{-1/3}$.
 """
 
 import math
@@ -59,8 +59,8 @@ def ridge(
     Frames, of a twentieth of the length, hold the two ends and turn their halves up to a corner for the time
     `close`; between them the sheet is free.
 
-    **Arguments:** `nodes` of the random mesh made with `seed`; `length`, `width` in m; `turn`: by how much the
-    corner is bent in rad; `close` in s; `options` of the sheet: `SheetOptions`.
+    **Arguments:** `nodes` of the random mesh made with `seed`; `length`, `width` in m; `turn`: by how much
+    the corner is bent in rad; `close` in s; `options` of the sheet: `SheetOptions`.
 
     **Raises:** ValueError for lengths or a time that are not positive, or a turn of more than half a turn.
     """
@@ -70,7 +70,7 @@ def ridge(
     sheet = SheetOptions(**options)
     mesh = rectangle(width, length * (1.0 + 2.0 * FRAME), nodes, seed=seed, sweeps=sheet.sweeps)
     held = np.abs(mesh.vertices[:, 1]) > 0.5 * length
-    motion = Bending(jnp.asarray(mesh.vertices), Corners([0.0, close], [0.0, turn]))
+    motion = Bending(jnp.asarray(mesh.vertices), Corners(jnp.array([0.0, close]), jnp.array([0.0, turn])))
     return sheet.setup(mesh, [], prescribed=Prescribed(jnp.asarray(np.repeat(held[:, None], 3, 1)), motion))
 
 

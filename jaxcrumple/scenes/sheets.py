@@ -1,4 +1,5 @@
-"""The sheets of the scenes: flat, but for a smooth imperfection, or curved at rest; and what surrounds them."""
+"""The sheets of the scenes: flat, but for a smooth imperfection, or curved at rest; and what surrounds
+them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -23,10 +24,10 @@ IMPERFECTION_WAVELENGTH = 0.02
 class SheetOptions:
     """Options that the scenes of crumpled sheets share.
 
-    `imperfection`: largest height in m of a smooth, stress-free initial shape; `sweeps`: Lloyd sweeps of the
-    random mesh; `damping`: "central" or "paper"; `contact`: "penalty", "barrier", or None for a phantom sheet,
-    which passes through itself, with `contact_range` and `contact_level` as in `SelfContact`; `material`:
-    default `Material()`.
+    `imperfection`: largest height in m of a smooth, stress-free initial shape; `sweeps`: Lloyd sweeps of
+    the random mesh; `damping`: "central" or "paper"; `contact`: "penalty", "barrier", or None for a phantom
+    sheet, which passes through itself, with `contact_range` and `contact_level` as in `SelfContact`;
+    `material`: default `Material()`.
     """
 
     imperfection: float = 25e-6
@@ -112,4 +113,3 @@ def on_ball(vertices: FloatArray, radius: float) -> FloatArray:
 def upright(points: FloatArray) -> FloatArray:
     """Points (n, 3) of a sheet in the x-y plane turned into the x-z plane: y becomes z, and z -y."""
     return points[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0])
-

@@ -10,7 +10,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxcrumple.model.confinement import Ball, Corners, Plane, Sphere
+from jaxcrumple.model.confinement import Ball, Corners, Plane, Sphere, of_time
+from jaxcrumple.model.fields import as_float
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions, on_ball
 from jaxcrumple.scenes.snap import check_positive
@@ -35,8 +36,8 @@ def stamping(
     **Arguments:** `nodes` of the random mesh made with `seed`; `radius` of the disc, `die`: that of the
     spherical die, `gap` in m; `speed` of the ball in m/s; `options` of the sheet: `SheetOptions`.
 
-    **Raises:** ValueError for lengths or a speed that are not positive, a disc that does not fit into the die,
-    or a gap that the sheet fills.
+    **Raises:** ValueError for lengths or a speed that are not positive, a disc that does not fit into the
+    die, or a gap that the sheet fills.
     """
     check_positive(radius=radius, die=die, gap=gap, speed=speed)
     sheet = SheetOptions(**options)
@@ -51,8 +52,9 @@ def stamping(
     x = mesh.vertices - np.array([0.0, 0.0, depth])
     ball = die - gap
     start = ball - depth + sheet.clearance + sheet.imperfection
-    way = Corners([0.0, start / speed], [start, 0.0])
-    return sheet.setup(mesh, [Sphere(jnp.zeros(3), die), Ball(jnp.zeros(3), UP, ball, way)], x=x)
+    way = Corners(jnp.array([0.0, start / speed]), jnp.array([start, 0.0]))
+    walls = [Sphere(jnp.zeros(3), of_time(die)), Ball(jnp.zeros(3), UP, as_float(ball), way)]
+    return sheet.setup(mesh, walls, x=x)
 
 
 def stamping_time(die: float, radius: float, gap: float, speed: float) -> float:
@@ -92,8 +94,8 @@ def shell(
     flat = sheet.disc(radius, nodes, seed)
     mesh = flat.with_rest_shape(on_ball(flat.vertices, curvature_radius))
     low, high = mesh.vertices[:, 2].min() - sheet.clearance, mesh.vertices[:, 2].max() + sheet.clearance
-    plate = Corners([0.0, (high - low - gap) / speed], [-high, -(low + gap)])
-    return sheet.setup(mesh, [Plane(UP, low), Plane(-UP, plate)])
+    plate = Corners(jnp.array([0.0, (high - low - gap) / speed]), jnp.array([-high, -(low + gap)]))
+    return sheet.setup(mesh, [Plane(UP, of_time(low)), Plane(-UP, plate)])
 
 
 def shell_time(radius: float, curvature_radius: float, gap: float, speed: float) -> float:

@@ -15,8 +15,8 @@ from jaxcrumple.solvers import explicit
 from jaxcrumple.solvers.bdf import push
 from jaxcrumple.solvers.handover import Handover, after_explicit, after_implicit, handed_over, row, stay
 from jaxcrumple.solvers.implicit import Attempt, aligns
-from jaxcrumple.solvers.linear import Factor
 from jaxcrumple.solvers.ledger import booked
+from jaxcrumple.solvers.linear import Factor
 from jaxcrumple.solvers.lists import (
     Lists,
     largest_move,

@@ -1,13 +1,15 @@
 """The work ledger: what walls and supports put into a sheet, and where it goes, step by step.
 
-Between the ends of an accepted step, of any stage, positions follow the cubic through both with both velocities.
-Along that path the sheet obeys the equations of motion but for a residual force $r = M\\ddot x - F$, so that
+Between the ends of an accepted step, of any stage, positions follow the cubic through both with both
+velocities. Along that path the sheet obeys the equations of motion but for a residual force $r = M\\ddot x
+- F$, so that
 
 $$\\Delta E = W_{walls} + W_{supports} + W_{drag} + W_{damping} + W_{plastic} + W_{numerical},$$
 
-with $W_{numerical} = \\int r\\cdot\\dot x\\,dt$ the work that a method does for which there is no cause: what it
-dissipates, and what is left out in the quasistatic stage and in changes of stage. All are integrated by Gauss's rule
-with two points. The balance of energies, which are known without any path, is the check of the ledger.
+with $W_{numerical} = \\int r\\cdot\\dot x\\,dt$ the work that a method does for which there is no cause:
+what it dissipates, and what is left out in the quasistatic stage and in changes of stage. All are
+integrated by Gauss's rule with two points. The balance of energies, which are known without any path, is
+the check of the ledger.
 """
 
 import jax
@@ -73,4 +75,3 @@ def _path(before: State, after: State, h: Array, s: Array) -> tuple[Array, Array
 
     v, a = jax.jvp(velocity, (s,), (jnp.ones_like(s),))
     return position(s), v, a / h
-
