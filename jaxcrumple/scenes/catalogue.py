@@ -107,7 +107,7 @@ class StampingOptions(SheetModel):
 
     radius: float = Field(0.05, gt=0)
     die: float = Field(0.053, gt=0)
-    gap: float = Field(2e-3, gt=0)
+    gap: float = Field(5e-3, gt=0)
     speed: float = Field(0.02, gt=0)
 
 
@@ -124,11 +124,11 @@ class ConicalOptions(SheetModel):
     """Options of `conical`; lengths in m, speed in m/s."""
 
     radius: float = Field(0.05, gt=0)
-    opening: float = Field(0.01, gt=0)
-    edge: float = Field(4e-3, gt=0)
+    opening: float = Field(0.015, gt=0)
+    edge: float = Field(5e-3, gt=0)
     pull: float = Field(0.025, gt=0)
     speed: float = Field(0.02, gt=0)
-    grip: float = Field(4e-3, gt=0)
+    grip: float = Field(6e-3, gt=0)
 
 
 class RidgeOptions(SheetModel):

@@ -37,11 +37,11 @@ def conical(
     seed: int = 0,
     *,
     radius: float = 0.05,
-    opening: float = 0.01,
-    edge: float = 0.004,
+    opening: float = 0.015,
+    edge: float = 0.005,
     pull: float = 0.025,
     speed: float = 0.02,
-    grip: float = 0.004,
+    grip: float = 0.006,
     **options: Any,
 ) -> Setup:
     """A disc on a plate with a hole, through which its middle is pulled.

@@ -25,7 +25,7 @@ def stamping(
     *,
     radius: float = 0.05,
     die: float = 0.053,
-    gap: float = 2e-3,
+    gap: float = 5e-3,
     speed: float = 0.02,
     **options: Any,
 ) -> Setup:
