@@ -3,6 +3,7 @@
 Cambou & Menon, PNAS 108 (2011) 14741, find that a sheet crumpled into a ball is locally ordered in parallel
 stacks, which proceed inwards from its surface. The measures here are not theirs, which start from images: a
 chord crosses a layer where it pierces a triangle. By `radial_profile` counts become functions of the radius.
+A chord that meets an edge of the mesh to the last digit pierces both of its triangles.
 """
 
 from __future__ import annotations
@@ -19,8 +20,6 @@ from jaxcrumple.model.intersections import close_pairs, pierces
 def chord_layers(mesh: Mesh, x: ArrayLike, chords: ArrayLike) -> NDArray[np.intp]:
     """Number (k,) of layers that each of `chords` (k, 2, 3), from point to point in m, crosses at positions
     `x` (n, 3) in m. A chord along the normals of a stack counts its layers.
-
-    A chord through an edge of the mesh, and not beside it, crosses both of its triangles.
 
     **Raises:** ValueError for a wrong shape.
     """

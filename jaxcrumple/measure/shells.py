@@ -74,13 +74,13 @@ def area_within(corners: FloatArray, radii: FloatArray) -> FloatArray:
 
 
 def _area_in_disc(corners: np.ndarray, squared: FloatArray) -> FloatArray:
-    """Area (f,) of triangles, complex `corners` (f, 3) counterclockwise, in discs around 0, radii `squared`."""
+    """Area (f,) of triangles, complex `corners` (f, 3) counterclockwise, in discs of radii `squared`."""
     side = np.roll(corners, -1, axis=1) - corners
     length2 = np.maximum(np.abs(side) ** 2, np.finfo(float).tiny)
-    middle = -(corners.conj() * side).real / length2
-    root = np.sqrt(np.maximum(middle**2 - (np.abs(corners) ** 2 - squared[:, None]) / length2, 0.0))
-    # The part of each side inside; outside all of it these are one point, and only sectors are left.
-    enter, leave = (corners + np.clip(middle + s * root, 0.0, 1.0) * side for s in (-1, 1))
+    along = (corners.conj() * side).real
+    root = np.sqrt(np.maximum(along**2 - length2 * (np.abs(corners) ** 2 - squared[:, None]), 0.0))
+    # The ends of what is inside of each side; where nothing is they are one point, and only sectors are left.
+    enter, leave = (corners + np.clip((s * root - along) / length2, 0.0, 1.0) * side for s in (-1, 1))
     angles = np.angle(corners.conj() * enter) + np.angle(leave.conj() * (corners + side))
     return 0.5 * np.sum(squared[:, None] * angles + (enter.conj() * leave).imag, axis=1)
 
