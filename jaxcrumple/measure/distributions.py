@@ -50,10 +50,11 @@ def curvature_distribution(mesh: Mesh, x: ArrayLike, *, bins: int | ArrayLike = 
 
 
 def _histogram(values: FloatArray, weights: FloatArray, bins: int | ArrayLike) -> Distribution:
-    density, edges = np.histogram(values, bins=bins, weights=weights, density=True)  # type: ignore[arg-type]
+    edges = np.histogram_bin_edges(values, bins)  # type: ignore[arg-type]
     if values.min() < edges[0] or values.max() > edges[-1]:
         raise ValueError(
             f"bins from {edges[0]:.4g} to {edges[-1]:.4g} leave out some values, which reach from"
             f" {values.min():.4g} to {values.max():.4g}; give bounds that hold all"
         )
+    density, _ = np.histogram(values, edges, weights=weights, density=True)
     return Distribution(edges, density)
