@@ -29,8 +29,7 @@ from numpy.typing import ArrayLike
 from jaxcrumple.config import MaterialOptions, SolverOptions
 from jaxcrumple.io.atomic import write_bytes
 from jaxcrumple.io.run import Run, load
-from jaxcrumple.measure import DAMAGE, damaged, mean_curvature
-from jaxcrumple.measure.creases import plastic_curvature
+from jaxcrumple.measure import DAMAGE, crease_pattern, mean_curvature, mountain_valley_length
 from jaxcrumple.measure.strain import positions
 from jaxcrumple.mesh import FloatArray, Mesh
 from jaxcrumple.solvers.log import AFTER, STEP
@@ -115,14 +114,13 @@ def plot_creases(
     axes = figure.add_subplot(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
     sheet = Triangulation(flat[:, 0], flat[:, 1], mesh.faces)
     axes.tripcolor(sheet, curvature, shading="gouraud").set(cmap=scale.cmap, norm=scale.norm)
-    flow, broken = plastic_curvature(mesh, p), damaged(mesh, p, threshold)
+    pattern, lengths = crease_pattern(mesh, p, threshold), mountain_valley_length(mesh, p, threshold)
     handles = []
-    for name, color, of_kind in (("mountain", MOUNTAIN, flow > 0), ("valley", VALLEY, flow < 0)):
-        rows = np.flatnonzero(broken & of_kind)
-        lines = list(flat[mesh.hinges[rows, :2]])
+    kinds = (("mountain", 1, MOUNTAIN), ("valley", -1, VALLEY))
+    for (name, sign, color), length in zip(kinds, lengths, strict=True):
+        lines = list(flat[mesh.hinges[pattern == sign, :2]])
         axes.add_collection(LineCollection(lines, colors=color, linewidths=0.9, capstyle="round"))
-        length = 1e2 * mesh.hinge_length[rows].sum()
-        handles.append(Line2D([], [], color=color, label=f"{name}, {length:.3g} cm"))
+        handles.append(Line2D([], [], color=color, label=f"{name}, {1e2 * length:.3g} cm"))
     figure.legend(
         handles=handles,
         loc="outside lower center",

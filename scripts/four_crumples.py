@@ -18,7 +18,8 @@ from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
 import jaxcrumple as jc
-from jaxcrumple.measure import hinge_curvature, mean_curvature
+from jaxcrumple.config import MaterialOptions
+from jaxcrumple.measure import face_bending_density, localization, mean_curvature
 
 # Values of the options that make the four.
 CONTACT = {"phantom": "none", "self-avoiding": "penalty"}
@@ -51,15 +52,11 @@ def run(nodes: int, contact: str, material: str, t_end: float, resume: bool) -> 
     return folder
 
 
-def localization(result: jc.Run) -> float:
-    """Share of the area that holds half of the bending energy."""
-    mesh = result.mesh
-    elastic = hinge_curvature(mesh, result.x[-1]) - result.p[-1]
-    energy = mesh.hinge_length**2 / mesh.hinge_area * elastic**2
-    order = np.argsort(energy / mesh.hinge_area)[::-1]
-    held = np.cumsum(energy[order])
-    half = np.searchsorted(held, 0.5 * held[-1])
-    return float(mesh.hinge_area[order][: half + 1].sum() / mesh.hinge_area.sum())
+def bending(result: jc.Run) -> np.ndarray:
+    """Bending energy per area of the faces at the end, in J/m2."""
+    mesh, material = result.mesh, MaterialOptions(**result.config["material"]).build()
+    stiffness = material.discretize(mesh).kb * mesh.hinge_weight
+    return face_bending_density(mesh, result.x[-1], result.p[-1], stiffness)
 
 
 def row(result: jc.Run, contact: str, material: str) -> dict:
@@ -68,7 +65,7 @@ def row(result: jc.Run, contact: str, material: str) -> dict:
     energy = {name: 1e3 * summary["energy"][name] for name in ("stretch", "bending")}
     return {
         "nodes": result.mesh.n_nodes, "sheet": f"{contact}, {material}", "result": summary["result"],
-        "cpu_min": summary["cpu_s"] / 60.0, **energy, "half": localization(result),
+        "cpu_min": summary["cpu_s"] / 60.0, **energy, "half": localization(result.mesh, bending(result)),
         "crease_m": summary["crease_length"], "intersections": summary.get("intersections"),
     }  # fmt: skip
 

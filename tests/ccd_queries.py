@@ -4,7 +4,7 @@ import ipctk
 import numpy as np
 
 from jaxcrumple.model.distance import CORNERS, EDGES, ENDS
-from jaxcrumple.model.intersections import _pierces
+from jaxcrumple.model.intersections import pierces
 
 SIGMA = 0.25e-3
 
@@ -38,7 +38,7 @@ def _intersecting(x: np.ndarray) -> np.ndarray:
     found = np.zeros(len(x), bool)
     for side in range(2):
         for a, b in ENDS:
-            found |= _pierces(x[:, side, [a, b]], x[:, 1 - side])
+            found |= pierces(x[:, side, [a, b]], x[:, 1 - side])
     return found
 
 

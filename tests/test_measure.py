@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.spatial import ConvexHull
+from shapes import RADIUS, icosphere, rolled, single_hinge
 
 from jaxcrumple import measure
 from jaxcrumple.mesh import Mesh
@@ -11,8 +11,6 @@ from jaxcrumple.meshgen import hexagonal, rectangle
 from jaxcrumple.model.bending import Bending
 from jaxcrumple.model.geometry import gather, hinge_angle
 from jaxcrumple.model.membrane import Membrane
-
-RADIUS = 0.03
 
 
 @pytest.fixture(scope="module")
@@ -30,25 +28,8 @@ def crumpled(mesh):
     return x, p
 
 
-def rolled(mesh, angle=0.0, radius=RADIUS):
-    """The sheet on a cylinder, outside up, its axis turned by `angle`."""
-    c, s = np.cos(angle), np.sin(angle)
-    u, w = (mesh.vertices[:, :2] @ np.array([[c, -s], [s, c]])).T
-    return np.column_stack([radius * np.sin(u / radius), w, radius * np.cos(u / radius)])
-
-
 def interior(mesh):
     return np.setdiff1d(np.arange(mesh.n_nodes), mesh.boundary_nodes)
-
-
-def single_hinge(angle):
-    """Two equilateral triangles of edge 1 over the x axis, bent by `angle`, convex seen from above."""
-    h = np.sqrt(3) / 2
-    flat = np.array([[0, 0, 0], [1, 0, 0], [0.5, h, 0], [0.5, -h, 0]])
-    mesh = Mesh.from_arrays(flat, [[0, 1, 2], [1, 0, 3]], reorder=False)
-    x = flat.copy()
-    x[3] = [0.5, -h * np.cos(angle), -h * np.sin(angle)]
-    return mesh, x
 
 
 @pytest.mark.parametrize("angle", [0.4, -1.3, 3.0])
@@ -93,18 +74,6 @@ def test_sign_follows_the_face_normals(mesh):
     assert measure.mean_curvature(mesh, down) == pytest.approx(-measure.mean_curvature(mesh, x))
 
 
-def icosphere(levels):
-    """An icosahedron whose edges are halved `levels` times, on a sphere."""
-    golden = (1 + np.sqrt(5)) / 2
-    signs = np.array([[a, b * golden, 0] for a in (-1, 1) for b in (-1, 1)])
-    x = np.concatenate([np.roll(signs, k, axis=1) for k in range(3)])
-    for _ in range(levels):
-        edges = Mesh.from_arrays(x, ConvexHull(x).simplices, reorder=False).edges
-        x = np.concatenate([x, x[edges].mean(axis=1)])
-        x /= np.linalg.norm(x, axis=1, keepdims=True)
-    return Mesh.from_arrays(RADIUS * x, ConvexHull(x).simplices)
-
-
 def test_sphere():
     mesh = icosphere(3)
     corners = mesh.vertices[mesh.faces]
@@ -135,6 +104,23 @@ def test_creases(mesh):
     damage = measure.node_damage(mesh, p)
     assert damage.max() == pytest.approx(0.2)
     assert set(np.flatnonzero(damage)) == set(mesh.hinges[[3, 5, 17], :2].ravel())
+
+
+def test_crease_pattern(mesh):
+    p = mesh.rest_curvature.copy()
+    p[[3, 5, 17, 20]] += [0.06, 0.04, -0.2, 0.3]
+    pattern = measure.crease_pattern(mesh, p)
+    assert pattern.dtype == np.int8
+    assert {k: int(pattern[k]) for k in np.flatnonzero(pattern)} == {3: 1, 17: -1, 20: 1}
+    mountain, valley = measure.mountain_valley_length(mesh, p)
+    assert mountain == pytest.approx(mesh.hinge_length[[3, 20]].sum())
+    assert valley == pytest.approx(mesh.hinge_length[17])
+    assert measure.mountain_valley_length(mesh, p, threshold=0.25)[1] == 0
+
+
+def test_a_mountain_is_convex_seen_from_the_normals():
+    mesh, x = single_hinge(1.0)
+    assert measure.crease_pattern(mesh, measure.hinge_curvature(mesh, x)).tolist() == [1]
 
 
 def test_damage_counts_from_the_rest_shape(mesh):

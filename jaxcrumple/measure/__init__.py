@@ -1,33 +1,59 @@
-"""Numbers and maps of a deformed sheet: strain, creases, energy density. NumPy on the host."""
+"""Numbers and maps of a deformed sheet: strain, creases, energy, volume, stacking. NumPy on the host."""
 
 from jaxcrumple.measure.creases import (
     DAMAGE,
     crease_length,
+    crease_pattern,
     damaged,
     folded_hinges,
     hinge_angles,
     hinge_curvature,
     mean_curvature,
+    mountain_valley_length,
     node_damage,
 )
 from jaxcrumple.measure.density import face_bending_density, face_plastic_curvature, face_stretch_density
+from jaxcrumple.measure.distributions import Distribution, curvature_distribution, fold_angle_distribution
 from jaxcrumple.measure.intersections import count_intersections
+from jaxcrumple.measure.layers import chord_layers, radial_alignment, stacked_layers
+from jaxcrumple.measure.localization import localization, participation_ratio
+from jaxcrumple.measure.sections import Section, cross_section, thick_section
+from jaxcrumple.measure.shells import center_of_mass, radial_profile, shell_areas
 from jaxcrumple.measure.strain import edge_strain, max_strain, rms_strain
+from jaxcrumple.measure.volume import VolumeFraction, volume_fraction
 
 __all__ = [
     "DAMAGE",
+    "Distribution",
+    "Section",
+    "VolumeFraction",
+    "center_of_mass",
+    "chord_layers",
     "count_intersections",
     "crease_length",
+    "crease_pattern",
+    "cross_section",
+    "curvature_distribution",
     "damaged",
     "edge_strain",
     "face_bending_density",
     "face_plastic_curvature",
     "face_stretch_density",
+    "fold_angle_distribution",
     "folded_hinges",
     "hinge_angles",
     "hinge_curvature",
+    "localization",
     "max_strain",
     "mean_curvature",
+    "mountain_valley_length",
     "node_damage",
+    "participation_ratio",
+    "radial_alignment",
+    "radial_profile",
     "rms_strain",
+    "shell_areas",
+    "stacked_layers",
+    "thick_section",
+    "volume_fraction",
 ]

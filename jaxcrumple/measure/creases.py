@@ -82,6 +82,19 @@ def plastic_curvature(mesh: Mesh, p: ArrayLike) -> FloatArray:
     return p - mesh.rest_curvature
 
 
+def crease_pattern(mesh: Mesh, p: ArrayLike, threshold: float = DAMAGE) -> NDArray[np.int8]:
+    """Sign (h,) of the creases: 1 where a damaged hinge's rest curvature `p` (h,) moved towards a mountain
+    (convex seen from the side of the face normals), -1 towards a valley, 0 where it is not damaged."""
+    return np.where(damaged(mesh, p, threshold), np.sign(plastic_curvature(mesh, p)), 0).astype(np.int8)
+
+
+def mountain_valley_length(mesh: Mesh, p: ArrayLike, threshold: float = DAMAGE) -> tuple[float, float]:
+    """Rest lengths in m of the mountains and valleys of `crease_pattern`, whose sum is `crease_length`."""
+    pattern = crease_pattern(mesh, p, threshold)
+    mountain, valley = (float(mesh.hinge_length[pattern == sign].sum()) for sign in (1, -1))
+    return mountain, valley
+
+
 def crease_length(mesh: Mesh, p: ArrayLike, threshold: float = DAMAGE) -> float:
     """Total rest length in m of the damaged hinges.
 

@@ -16,16 +16,16 @@ def intersections(x: ArrayLike, faces: ArrayLike, edges: ArrayLike) -> np.ndarra
     **Returns:** (k, 2) rows of `edges` and of `faces`.
     """
     x, faces, edges = np.asarray(x, float), np.asarray(faces), np.asarray(edges)
-    pairs = _close(x, faces, edges)
+    pairs = close_pairs(x[edges], x[faces])
     ends, corners = edges[pairs[:, 0]], faces[pairs[:, 1]]
     apart = ~np.any(ends[:, :, None] == corners[:, None], axis=(1, 2))
     pairs, ends, corners = pairs[apart], ends[apart], corners[apart]
-    return pairs[_pierces(x[ends], x[corners])]
+    return pairs[pierces(x[ends], x[corners])]
 
 
-def _close(x: np.ndarray, faces: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Pairs (m, 2) of an edge and a triangle whose bounding boxes overlap."""
-    corners, ends = x[faces], x[edges]
+def close_pairs(ends: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Pairs (m, 2) of a segment and a triangle, of `ends` (k, 2, 3) and `corners` (f, 3, 3), whose bounding
+    boxes overlap."""
     low, high = corners.min(axis=1), corners.max(axis=1)
     first, last = ends.min(axis=1), ends.max(axis=1)
     center, middle = 0.5 * (low + high), 0.5 * (first + last)
@@ -36,7 +36,7 @@ def _close(x: np.ndarray, faces: np.ndarray, edges: np.ndarray) -> np.ndarray:
     return np.stack([edge[overlap], face[overlap]], axis=1)
 
 
-def _pierces(ends: np.ndarray, corners: np.ndarray) -> np.ndarray:
+def pierces(ends: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Whether segments (m, 2, 3) pass through triangles (m, 3, 3), by the signs of five volumes."""
     start, end = ends[:, 0], ends[:, 1]
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]

@@ -1,0 +1,60 @@
+"""Distributions over the sheet: fold angles at creases, by length, and mean curvature, by area."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jaxcrumple.measure.creases import DAMAGE, damaged, hinge_angles, mean_curvature
+from jaxcrumple.mesh import FloatArray, Mesh
+
+
+class Distribution(NamedTuple):
+    """A histogram as a density whose integral is 1."""
+
+    edges: FloatArray  # (b + 1,) bounds of the bins
+    density: FloatArray  # (b,) share per unit of what is distributed
+
+
+def fold_angle_distribution(
+    mesh: Mesh, x: ArrayLike, p: ArrayLike, *, threshold: float = DAMAGE, bins: int | ArrayLike = 36
+) -> Distribution:
+    """Density per rad of the signed angles at damaged hinges, weighted by rest length; positive on mountains.
+
+    **Arguments:** `x` (n, 3) in m; `p` (h,) and `threshold` as in `damaged`; `bins`: how many between
+    -pi and pi, or their bounds in rad.
+
+    **Raises:** ValueError for wrong shapes, if no hinge is damaged, or if bounds leave out an angle.
+    """
+    creases = damaged(mesh, p, threshold)
+    if not creases.any():
+        raise ValueError(
+            f"no rest curvature moved by more than {threshold}; lower the threshold or fold more"
+        )
+    if np.ndim(bins) == 0:
+        bins = np.linspace(-np.pi, np.pi, int(bins) + 1)  # type: ignore[arg-type]
+    return _histogram(hinge_angles(mesh, x)[creases], mesh.hinge_length[creases], bins)
+
+
+def curvature_distribution(mesh: Mesh, x: ArrayLike, *, bins: int | ArrayLike = 100) -> Distribution:
+    """Density per 1/m of the mean curvature of the nodes (`mean_curvature`), weighted by their rest area.
+
+    **Arguments:** `x` (n, 3) in m; `bins`: how many from the lowest to the highest curvature, or their bounds
+    in 1/m. Sharp folds reach far: bounds that are closer near zero show more.
+
+    **Raises:** ValueError for a wrong shape of `x`, or if bounds leave out a curvature.
+    """
+    return _histogram(mean_curvature(mesh, x), mesh.node_area, bins)
+
+
+def _histogram(values: FloatArray, weights: FloatArray, bins: int | ArrayLike) -> Distribution:
+    edges = np.histogram_bin_edges(values, bins)  # type: ignore[arg-type]
+    if values.min() < edges[0] or values.max() > edges[-1]:
+        raise ValueError(
+            f"bins from {edges[0]:.4g} to {edges[-1]:.4g} leave out some values, which reach from"
+            f" {values.min():.4g} to {values.max():.4g}; give bounds that hold all"
+        )
+    density, _ = np.histogram(values, edges, weights=weights, density=True)
+    return Distribution(edges, density)

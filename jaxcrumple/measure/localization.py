@@ -1,0 +1,49 @@
+"""How far an energy is concentrated on a few places of the sheet (Section 4.1, Fig. 8c)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jaxcrumple.mesh import FloatArray, Mesh
+
+
+def localization(mesh: Mesh, density: ArrayLike, share: float = 0.5) -> float:
+    """Smallest share of the rest area that holds a `share` of the energy: `share` itself where it is uniform.
+
+    `density` (f,): energy per rest area of the faces, in J/m2, such as `face_bending_density`. Of the last
+    face only as much counts as is needed. The result depends on the mesh, whose triangles are the smallest
+    places; nan for a sheet without energy.
+
+    **Raises:** ValueError unless there is one density for each face, none negative, and 0 < share < 1.
+    """
+    if not 0 < share < 1:
+        raise ValueError(f"share = {share!r} is not usable; give a part of the energy between 0 and 1")
+    density = _density(mesh, density)
+    order = np.argsort(-density)
+    area, held = (np.cumsum(part[order]) for part in (mesh.face_area, density * mesh.face_area))
+    if held[-1] == 0:
+        return float("nan")
+    return float(np.interp(share * held[-1], np.append(0.0, held), np.append(0.0, area)) / area[-1])
+
+
+def participation_ratio(mesh: Mesh, density: ArrayLike) -> float:
+    """$(\\int e\\,dA)^2 / (A \\int e^2 dA)$ of an energy density e: 1 if it is uniform; the share of a part
+    of the area if it is uniform there and zero elsewhere (Bell & Dean, Discuss. Faraday Soc. 50 (1970) 55).
+
+    `density` (f,) in J/m2 as in `localization`; nan for a sheet without energy.
+
+    **Raises:** ValueError unless there is one density for each face, none negative.
+    """
+    density = _density(mesh, density)
+    squares = mesh.face_area.sum() * (density**2 @ mesh.face_area)
+    return float((density @ mesh.face_area) ** 2 / squares) if squares > 0 else float("nan")
+
+
+def _density(mesh: Mesh, density: ArrayLike) -> FloatArray:
+    density = np.asarray(density, dtype=np.float64)
+    if density.shape != mesh.face_area.shape:
+        raise ValueError(f"density has shape {density.shape}; give one for each of {len(mesh.faces)} faces")
+    if not np.all(density >= 0):
+        raise ValueError("density is negative or nan somewhere; give energies, which are not")
+    return density

@@ -1,0 +1,89 @@
+"""How a crumpled sheet lies around its centre of mass: the area of its triangles in spherical shells.
+
+The areas are exact for the triangles, however large these are beside the shells.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jaxcrumple.measure.strain import positions
+from jaxcrumple.mesh import FloatArray, Mesh
+
+
+def center_of_mass(mesh: Mesh, x: ArrayLike) -> FloatArray:
+    """Centre of mass (3,) in m of a sheet of uniform thickness at positions `x` (n, 3) in m.
+
+    Each triangle has the mass of its rest area, evenly spread.
+    """
+    return mesh.node_area @ positions(mesh, x) / mesh.node_area.sum()
+
+
+def shell_areas(mesh: Mesh, x: ArrayLike, radii: ArrayLike) -> FloatArray:
+    """Area (f, k) in m2 of each triangle in each of k shells around the centre of mass.
+
+    **Arguments:** `x` (n, 3): positions in m, at which the areas are taken; `radii` (k + 1,): bounds of the
+    shells in m, ascending from 0 or more.
+
+    **Raises:** ValueError for a wrong shape of `x`, or unless `radii` ascend.
+    """
+    radii = np.asarray(radii, dtype=np.float64)
+    if radii.ndim != 1 or len(radii) < 2 or not (radii[0] >= 0 and np.all(np.diff(radii) > 0)):
+        raise ValueError("radii do not bound shells; give two or more in metres, ascending from 0 or more")
+    corners = (positions(mesh, x) - center_of_mass(mesh, x))[mesh.faces]
+    return np.diff(area_within(corners, radii), axis=1)
+
+
+def radial_profile(mesh: Mesh, x: ArrayLike, values: ArrayLike, radii: ArrayLike) -> FloatArray:
+    """Area-weighted mean (k,) of face `values` (f,) in shells around the centre of mass; nan in an empty one.
+
+    `x` (n, 3) and `radii` (k + 1,) in m as in `shell_areas`.
+
+    **Raises:** as `shell_areas`, and ValueError unless there is one value for each face.
+    """
+    values = np.asarray(values, dtype=np.float64)
+    if values.shape != (len(mesh.faces),):
+        raise ValueError(f"values have shape {values.shape}; give one for each of {len(mesh.faces)} faces")
+    areas = shell_areas(mesh, x, radii)
+    total = areas.sum(axis=0)
+    return np.divide(values @ areas, total, out=np.full(len(total), np.nan), where=total > 0)
+
+
+def normals(corners: FloatArray) -> FloatArray:
+    """Unit normals (f, 3) of triangles `corners` (f, 3, 3); 0 where one has no area."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return _unit(normal)
+
+
+def area_within(corners: FloatArray, radii: FloatArray) -> FloatArray:
+    """Area (f, k) of triangles `corners` (f, 3, 3) within spheres of `radii` (k,) around the origin.
+
+    A sphere cuts the plane of a triangle in a disc. Their common area is the sum over the sides of the signed
+    area between a side and the centre of the disc: a triangle where the side is inside, a sector elsewhere.
+    """
+    first = corners[:, 1] - corners[:, 0]
+    normal = np.cross(first, corners[:, 2] - corners[:, 0])
+    double = np.linalg.norm(normal, axis=1)
+    u, n = _unit(first), _unit(normal)
+    across = np.einsum("fci,fi->fc", corners, u), np.einsum("fci,fi->fc", corners, np.cross(n, u))
+    height = np.einsum("fi,fi->f", corners[:, 0], n)
+    plane = across[0] + 1j * across[1]
+    areas = np.stack([_area_in_disc(plane, np.maximum(r**2 - height**2, 0.0)) for r in radii], axis=1)
+    return np.clip(areas, 0.0, 0.5 * double[:, None])
+
+
+def _area_in_disc(corners: np.ndarray, squared: FloatArray) -> FloatArray:
+    """Area (f,) of triangles, complex `corners` (f, 3) counterclockwise, in discs of radii `squared`."""
+    side = np.roll(corners, -1, axis=1) - corners
+    length2 = np.maximum(np.abs(side) ** 2, np.finfo(float).tiny)
+    along = (corners.conj() * side).real
+    root = np.sqrt(np.maximum(along**2 - length2 * (np.abs(corners) ** 2 - squared[:, None]), 0.0))
+    # The ends of what is inside of each side; where nothing is they are one point, and only sectors are left.
+    enter, leave = (corners + np.clip((s * root - along) / length2, 0.0, 1.0) * side for s in (-1, 1))
+    angles = np.angle(corners.conj() * enter) + np.angle(leave.conj() * (corners + side))
+    return 0.5 * np.sum(squared[:, None] * angles + (enter.conj() * leave).imag, axis=1)
+
+
+def _unit(v: FloatArray) -> FloatArray:
+    return v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), np.finfo(float).tiny)

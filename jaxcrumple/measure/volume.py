@@ -1,0 +1,51 @@
+"""Volume fraction of a crumpled sheet as a function of the radius (Fig. 8b).
+
+After the experiments of Cambou & Menon, PNAS 108 (2011) 14741: how much of the space around its centre of
+mass the sheet fills, and whether it is denser inside or outside.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jaxcrumple.measure.shells import center_of_mass, shell_areas
+from jaxcrumple.measure.strain import positions
+from jaxcrumple.mesh import FloatArray, Mesh
+
+
+class VolumeFraction(NamedTuple):
+    """Share of the space that the sheet fills, dimensionless, in shells around its centre of mass."""
+
+    radii: FloatArray  # (k + 1,) bounds of the shells, from 0 to r0 [m]
+    phi: FloatArray  # (k,) volume fraction of each shell
+    phi0: float  # volume fraction of the sphere of radius r0
+
+    @property
+    def r0(self) -> float:
+        """Largest distance of the sheet from its centre of mass [m]."""
+        return float(self.radii[-1])
+
+
+def volume_fraction(mesh: Mesh, x: ArrayLike, thickness: float, *, shells: int = 20) -> VolumeFraction:
+    """Volume fraction of a sheet in spherical shells of equal width (Fig. 8b).
+
+    The volume in a shell is that of the middle surface in it, exact for the triangles, times the thickness.
+    The surface has no thickness of its own here: shells should be wider than the sheet is thick, and a sheet
+    that passes through itself can fill more than all.
+
+    **Arguments:** `x` (n, 3) in m; `thickness` in m; `shells`, their number k.
+
+    **Raises:** ValueError for a wrong shape of `x`, a thickness that is not positive or no shell.
+    """
+    if not (np.ndim(thickness) == 0 and 0 < thickness < np.inf):
+        raise ValueError(f"thickness = {thickness!r} is not usable; give one positive number in metres")
+    if shells < 1:
+        raise ValueError(f"shells = {shells!r} is not usable; give the number of shells, 1 or more")
+    r0 = np.linalg.norm(positions(mesh, x) - center_of_mass(mesh, x), axis=1).max()
+    radii = np.linspace(0.0, r0, shells + 1)
+    filled = thickness * shell_areas(mesh, x, radii).sum(axis=0)
+    volume = 4.0 / 3.0 * np.pi * radii**3
+    return VolumeFraction(radii, filled / np.diff(volume), float(filled.sum() / volume[-1]))
