@@ -1,4 +1,4 @@
-"""The command line: `jaxcrumple run`, `calibrate`, `sweep`, `campaign`, `scenes`, `plot`."""
+"""The command line: `jaxcrumple run`, `calibrate`, `sweep`, `campaign`, `figure`, `scenes`, `plot`."""
 
 import importlib.metadata
 import os
@@ -221,6 +221,23 @@ def campaign(
     table = campaign(runs, folder, cluster=scheduler, tell=_tell_case)
     console.print(f"{len(table)} runs: {folder / 'campaign.csv'}", soft_wrap=True)
     _all_must_succeed((table["result"] == "success").all())
+
+
+@app.command()
+def figure(
+    name: Annotated[str, typer.Argument(help="Number of the paper's figure, such as 8b.")],
+    out: Annotated[Path | None, typer.Option(help="Folder of runs and pictures (default: figures/NAME).")] = None,
+    full: Annotated[bool, typer.Option("--full", help="At the paper's size, not that of a laptop.")] = False,
+) -> None:
+    """Do the runs of a figure of the paper that its folder lacks, and draw it."""
+    from jaxcrumple.figures import FIGURES, make_figure
+    from jaxcrumple.words import nearest
+
+    if name not in FIGURES:
+        raise ValueError(f"figure {name!r} is unknown{nearest(name, FIGURES)}")
+    folder = out or Path("figures") / (f"{name}_full" if full else name)
+    for path in make_figure(FIGURES[name], folder, full=full, tell=_tell_case):
+        console.print(str(path), markup=False, highlight=False, soft_wrap=True)
 
 
 def _check_place(path: Path, option: str) -> None:

@@ -76,17 +76,14 @@ def plot_sheet(
     x = positions(mesh, x)
     values = mean_curvature(mesh, x) if color is None else np.asarray(color, dtype=np.float64)
     label = CURVATURE_LABEL if color is None else label or ""
-    scale = _color_scale(values, signed=color is None)
-    figure = _figure((7.2, 6.0), caption)
+    scale = color_scale(values, signed=color is None)
+    figure = new_figure((7.2, 6.0), caption)
     axes: Any = figure.add_subplot(projection="3d", proj_type="persp")
-    corners = 1e3 * x[mesh.faces]
-    colors = _shaded(scale.to_rgba(_on_faces(mesh, values)), corners)
-    axes.add_collection3d(Poly3DCollection(corners, facecolors=colors, edgecolors=colors, linewidths=0.2))
-    _equal_box(axes, 1e3 * x)
+    draw_sheet(axes, mesh, x, scale, values)
     for name in "xyz":
         getattr(axes, f"set_{name}label")(f"{name} [mm]", labelpad=8)
     figure.colorbar(scale, ax=axes, label=label, shrink=0.65, pad=0.1, extend="both")
-    return _save(figure, path)
+    return save_figure(figure, path)
 
 
 def plot_creases(
@@ -108,12 +105,11 @@ def plot_creases(
     """
     flat = 1e3 * mesh.vertices[:, :2]
     curvature = mean_curvature(mesh, x)
-    scale = _color_scale(curvature, signed=True)
+    scale = color_scale(curvature, signed=True)
     scale.set_cmap(PALE)
-    figure = _figure((7.2, 6.2), caption)
+    figure = new_figure((7.2, 6.2), caption)
     axes = figure.add_subplot(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
-    sheet = Triangulation(flat[:, 0], flat[:, 1], mesh.faces)
-    axes.tripcolor(sheet, curvature, shading="gouraud").set(cmap=scale.cmap, norm=scale.norm)
+    draw_flat(axes, mesh, scale, curvature)
     pattern, lengths = crease_pattern(mesh, p, threshold), mountain_valley_length(mesh, p, threshold)
     handles = []
     kinds = (("mountain", 1, MOUNTAIN), ("valley", -1, VALLEY))
@@ -130,7 +126,7 @@ def plot_creases(
     )
     figure.colorbar(scale, ax=axes, label=CURVATURE_LABEL, extend="both")
     axes.autoscale_view()
-    return _save(figure, path)
+    return save_figure(figure, path)
 
 
 def plot_steps(
@@ -151,7 +147,7 @@ def plot_steps(
     steps = history[history["kind"] == STEP] if len(history) else history
     if len(steps) == 0:
         raise ValueError("the history has no steps to plot; run longer")
-    figure = _figure((8.0, 5.6), caption)
+    figure = new_figure((8.0, 5.6), caption)
     top, bottom = figure.subplots(2, 1, sharex=True)
     labels = ("step $h$ [s]", r"mean $a_{\max}/a_{\mathrm{ref}}$ [-]")
     for axes, column, label in zip((top, bottom), ("h", "acceleration_mean"), labels, strict=True):
@@ -170,7 +166,7 @@ def plot_steps(
         handles.append(Line2D([], [], color="black", linestyle="--", label="switching thresholds"))
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
     bottom.set_xlabel("time $t$ [s]")
-    return _save(figure, path)
+    return save_figure(figure, path)
 
 
 def plot_energies(history: pd.DataFrame, *, caption: str = "", path: str | Path) -> Path:
@@ -180,7 +176,7 @@ def plot_energies(history: pd.DataFrame, *, caption: str = "", path: str | Path)
     """
     if len(history) == 0:
         raise ValueError("the history has no rows to plot; run longer")
-    figure = _figure((8.0, 4.4), caption)
+    figure = new_figure((8.0, 4.4), caption)
     axes = figure.add_subplot(yscale="log", xlabel="time $t$ [s]", ylabel="energy [J]")
     largest = 0.0
     for name, color in ENERGY_COLORS.items():
@@ -194,7 +190,7 @@ def plot_energies(history: pd.DataFrame, *, caption: str = "", path: str | Path)
         axes.set_ylim(bottom=max(1e-9 * largest, axes.get_ylim()[0]), top=3 * largest)
         axes.legend(frameon=False, ncols=3)
     axes.grid(alpha=0.3)
-    return _save(figure, path)
+    return save_figure(figure, path)
 
 
 def plot_run(folder: str | Path) -> list[Path]:
@@ -224,6 +220,22 @@ def plot_run(folder: str | Path) -> list[Path]:
 # Parts
 
 
+def draw_sheet(axes: Any, mesh: Mesh, x: FloatArray, scale: ScalarMappable, values: FloatArray) -> None:
+    """The sheet at positions `x` (n, 3) in m into three-dimensional axes in mm, shaded, in colours of `values`
+    per node or face."""
+    corners = 1e3 * x[mesh.faces]
+    colors = _shaded(scale.to_rgba(_on_faces(mesh, values)), corners)
+    axes.add_collection3d(Poly3DCollection(corners, facecolors=colors, edgecolors=colors, linewidths=0.2))
+    _equal_box(axes, 1e3 * x)
+
+
+def draw_flat(axes: Axes, mesh: Mesh, scale: ScalarMappable, values: FloatArray) -> None:
+    """Node `values` (n,) in colours on the flat sheet, into axes in mm."""
+    flat = 1e3 * mesh.vertices
+    sheet = Triangulation(flat[:, 0], flat[:, 1], mesh.faces)
+    axes.tripcolor(sheet, values, shading="gouraud").set(cmap=scale.cmap, norm=scale.norm)
+
+
 def _thresholds(run: Run) -> list[float]:
     """The switch's thresholds as values of a_max/a_ref; none where the scheme has no switch."""
     options = SolverOptions(**run.config.get("solver", {}))
@@ -237,7 +249,8 @@ def _thresholds(run: Run) -> list[float]:
     return [float(switch.down / unit), float(switch.up / unit)]
 
 
-def _figure(size: tuple[float, float], caption: str) -> Figure:
+def new_figure(size: tuple[float, float], caption: str) -> Figure:
+    """A figure of `size` in inches with a caption above."""
     figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
     if caption:
@@ -245,7 +258,7 @@ def _figure(size: tuple[float, float], caption: str) -> Figure:
     return figure
 
 
-def _save(figure: Figure, path: str | Path) -> Path:
+def save_figure(figure: Figure, path: str | Path) -> Path:
     """Write the picture, all or nothing."""
     path = Path(path)
     buffer = io.BytesIO()
@@ -254,7 +267,7 @@ def _save(figure: Figure, path: str | Path) -> Path:
     return path
 
 
-def _color_scale(values: FloatArray, *, signed: bool) -> ScalarMappable:
+def color_scale(values: FloatArray, *, signed: bool) -> ScalarMappable:
     """Colours of `values`: symmetric around 0 if `signed`, else from low to high; outliers saturate."""
     finite = values[np.isfinite(values)]
     if signed:

@@ -20,7 +20,7 @@ from jaxcrumple.measure import (
     thick_section,
 )
 from jaxcrumple.mesh import Mesh
-from jaxcrumple.plot import _figure, _save
+from jaxcrumple.plot import new_figure, save_figure
 
 SHEET = "#1f3b5c"
 
@@ -46,13 +46,13 @@ def plot_section(
     section = cross_section(mesh, x, point, normal)
     if len(section.faces) == 0:
         raise ValueError("the plane does not cut the sheet; give a point inside it")
-    figure = _figure((6.4, 6.0), caption)
+    figure = new_figure((6.4, 6.0), caption)
     axes = figure.add_subplot(aspect="equal", xlabel="[mm]", ylabel="[mm]")
     outlines = list(1e3 * thick_section(mesh, x, thickness, point, normal))
     axes.add_collection(PolyCollection(outlines, facecolors=SHEET, edgecolors="none"))
     axes.add_collection(LineCollection(list(1e3 * section.ends), colors=SHEET, linewidths=0.4))
     axes.autoscale_view()
-    return _save(figure, path)
+    return save_figure(figure, path)
 
 
 def plot_volume_fraction(
@@ -64,7 +64,7 @@ def plot_volume_fraction(
     """
     if not fractions:
         raise ValueError("there is no volume fraction to plot; give one by name")
-    figure = _figure((6.0, 4.4), caption)
+    figure = new_figure((6.0, 4.4), caption)
     axes = figure.add_subplot(xlabel="$r/r_0$ [-]", ylabel=r"$\phi(r)/\phi_0$ [-]")
     for name, found in fractions.items():
         middles = 0.5 * (found.radii[1:] + found.radii[:-1]) / found.r0
@@ -75,7 +75,7 @@ def plot_volume_fraction(
     axes.set_ylim(bottom=0.0)
     axes.grid(alpha=0.3)
     figure.legend(loc="outside lower center", frameon=False)
-    return _save(figure, path)
+    return save_figure(figure, path)
 
 
 def plot_distributions(
@@ -87,11 +87,11 @@ def plot_distributions(
     """
     if not distributions:
         raise ValueError("there is no distribution to plot; give one by name")
-    figure = _figure((6.0, 4.4), caption)
+    figure = new_figure((6.0, 4.4), caption)
     axes = figure.add_subplot(xlabel=label, ylabel="probability density", yscale="log")
     for name, found in distributions.items():
         shown = np.where(found.density > 0, found.density, np.nan)  # no place on a logarithmic axis
         axes.stairs(shown, found.edges, baseline=None, label=name, linewidth=1.2)
     axes.grid(alpha=0.3)
     axes.legend(frameon=False)
-    return _save(figure, path)
+    return save_figure(figure, path)

@@ -18,9 +18,9 @@ def sphere():
 @pytest.fixture
 def figures(monkeypatch):
     """The figures that are saved, to look at their parts."""
-    kept, original = [], plot_sections._save
+    kept, original = [], plot_sections.save_figure
     monkeypatch.setattr(
-        plot_sections, "_save", lambda figure, path: (kept.append(figure), original(figure, path))[1]
+        plot_sections, "save_figure", lambda figure, path: (kept.append(figure), original(figure, path))[1]
     )
     return kept
 

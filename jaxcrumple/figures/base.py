@@ -1,0 +1,62 @@
+"""What the figures share: the runs behind one, and how it is made of them."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import pandas as pd
+
+from jaxcrumple.config import RunConfig
+from jaxcrumple.io import Run, load
+from jaxcrumple.io.atomic import write_bytes
+from jaxcrumple.sweep import campaign
+from jaxcrumple.sweep.table import Tell
+
+Runs = Mapping[str, Run]
+
+
+class Figure(NamedTuple):
+    """A figure of the paper.
+
+    `summary`: what it shows; `runs`: configurations by name, for a laptop or, given True, at the paper's size;
+    `draw`: makes the pictures, and the data behind them as tables, in a folder, and returns their paths.
+    """
+
+    summary: str
+    runs: Callable[[bool], dict[str, RunConfig]]
+    draw: Callable[[Runs, Path], list[Path]]
+
+
+def make_figure(
+    figure: Figure, folder: str | Path, *, full: bool = False, tell: Tell = lambda name, result: None
+) -> list[Path]:
+    """Do the runs of a figure that `folder` lacks, side by side, and draw it; returns the files.
+
+    **Raises:** ValueError where a run did not come to its end, after all have ended.
+    """
+    place = Path(folder)
+    configs = figure.runs(full)
+    if configs:
+        table = campaign(configs, place / "runs", tell=tell)
+        failed = table.index[table["result"] != "success"]
+        if len(failed):
+            raise ValueError(
+                f"run {failed[0]!r} of the figure ended in {table['result'][failed[0]]}; see its folder in "
+                f"{place / 'runs'}, and remove that to run it again."
+            )
+    place.mkdir(parents=True, exist_ok=True)
+    return figure.draw({name: load(place / "runs" / name) for name in configs}, place)
+
+
+def save_table(table: pd.DataFrame, path: Path) -> Path:
+    """Write the data behind a picture, all or nothing."""
+    write_bytes(path, table.to_csv(index=False).encode())
+    return path
+
+
+def about(run: Run, t: float | None = None) -> str:
+    """Scene, size, seed, tolerance, and time in s of a run, in words."""
+    config = run.config
+    words = [config["scene"], f"n = {run.mesh.n_nodes}", f"seed {config['seed']}"]
+    words.append(f"rtol {config['solver']['rtol']:g}")
+    return ", ".join(words + ([] if t is None else [f"t = {t:.4g} s"]))
