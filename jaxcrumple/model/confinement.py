@@ -41,6 +41,17 @@ class Ramp(eqx.Module):
         return self.start + self.rate * jnp.minimum(t, self.until)
 
 
+class Corners(eqx.Module):
+    """A number that goes straight from one of `values` (m,) to the next at `times` (m,) in s."""
+
+    times: Array = eqx.field(converter=as_float)
+    values: Array = eqx.field(converter=as_float)
+
+    def __call__(self, t: Array) -> Array:
+        """Value at time `t`."""
+        return jnp.interp(t, self.times, self.values)
+
+
 def _of_time(value: ArrayLike | Callable[[Array], Array]) -> Callable[[Array], Array]:
     """A number that never changes as a function of time."""
     return value if callable(value) else Ramp(as_float(value), as_float(0.0))

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -12,6 +12,7 @@ from jaxcrumple.scenes.cap import cap
 from jaxcrumple.scenes.fold import TIMES, fold
 from jaxcrumple.scenes.radial import radial
 from jaxcrumple.scenes.setup import Setup
+from jaxcrumple.units import LENGTH, TIME, Metre, MetrePerSecond, Newton, Second
 
 
 class SceneEntry(NamedTuple):
@@ -33,15 +34,15 @@ class RadialOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    size: float = Field(0.1, gt=0)
-    radius: float = Field(0.071, gt=0)
-    speed: float = Field(0.01, gt=0)
-    hold: float | None = Field(None, gt=0, allow_inf_nan=False)
-    imperfection: float = Field(25e-6, ge=0)
+    size: Metre = Field(0.1, gt=0)
+    radius: Metre = Field(0.071, gt=0)
+    speed: MetrePerSecond = Field(0.01, gt=0)
+    hold: Annotated[float | None, TIME] = Field(None, gt=0, allow_inf_nan=False)
+    imperfection: Metre = Field(25e-6, ge=0)
     sweeps: int = Field(100, ge=0)
     damping: Literal["central", "paper"] = "central"
     contact: Potential | None = "penalty"
-    contact_range: float | None = Field(None, gt=0, allow_inf_nan=False)
+    contact_range: Annotated[float | None, LENGTH] = Field(None, gt=0, allow_inf_nan=False)
     contact_level: int | None = Field(None, ge=0, le=200)
 
     @model_validator(mode="after")
@@ -57,7 +58,7 @@ class SnapOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    ramp: float = Field(0.03, gt=0)
+    ramp: Second = Field(0.03, gt=0)
     plastic: bool = False
     damping: Literal["central", "paper"] = "central"
 
@@ -65,21 +66,21 @@ class SnapOptions(BaseModel):
 class ArchOptions(SnapOptions):
     """Options of `arch`; lengths in m."""
 
-    length: float = Field(0.03, gt=0)
-    width: float = Field(0.006, gt=0)
-    rise: float = Field(0.002, gt=0)
-    load: float = Field(0.2, gt=0)
-    imperfection: float = Field(25e-6, ge=0)
+    length: Metre = Field(0.03, gt=0)
+    width: Metre = Field(0.006, gt=0)
+    rise: Metre = Field(0.002, gt=0)
+    load: Newton = Field(0.2, gt=0)
+    imperfection: Metre = Field(25e-6, ge=0)
 
 
 class CapOptions(SnapOptions):
     """Options of `cap`; lengths in m."""
 
-    radius: float = Field(0.025, gt=0)
-    rise: float = Field(0.001, gt=0)
-    load: float = Field(0.3, gt=0)
-    patch: float = Field(0.01, gt=0)
-    offset: float = 0.25e-3
+    radius: Metre = Field(0.025, gt=0)
+    rise: Metre = Field(0.001, gt=0)
+    load: Newton = Field(0.3, gt=0)
+    patch: Metre = Field(0.01, gt=0)
+    offset: Metre = 0.25e-3
     sweeps: int = Field(100, ge=0)
 
 
@@ -88,12 +89,12 @@ class FoldOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    size: float = Field(0.1, gt=0)
-    gap: float | None = Field(None, gt=0)
-    close: float = Field(TIMES.close, gt=0)
-    press: float = Field(TIMES.press, gt=0)
-    hold: float = Field(TIMES.hold, gt=0)
-    relax: float = Field(TIMES.relax, gt=0)
+    size: Metre = Field(0.1, gt=0)
+    gap: Metre | None = Field(None, gt=0)
+    close: Second = Field(TIMES.close, gt=0)
+    press: Second = Field(TIMES.press, gt=0)
+    hold: Second = Field(TIMES.hold, gt=0)
+    relax: Second = Field(TIMES.relax, gt=0)
     sweeps: int = Field(100, ge=0)
 
 

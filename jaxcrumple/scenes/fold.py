@@ -11,7 +11,7 @@ from jax import Array
 from jaxcrumple.material import Material
 from jaxcrumple.mesh import Mesh
 from jaxcrumple.meshgen import rectangle
-from jaxcrumple.model.confinement import Plane
+from jaxcrumple.model.confinement import Corners, Plane
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.geometry import cross, gather, sub
 from jaxcrumple.model.loads import AbstractMotion, Prescribed
@@ -73,17 +73,6 @@ class Closing(AbstractMotion):
         up, sine, cosine = z - self.height, jnp.sin(angle), jnp.cos(angle)
         turned = [x * cosine - up * sine, y, self.height + x * sine + up * cosine]
         return jnp.where((x > 0)[:, None], jnp.stack(turned, axis=1), self.position)
-
-
-class Corners(eqx.Module):
-    """A number that goes straight from one of `values` (m,) to the next at `times` (m,) in s."""
-
-    times: Array = eqx.field(converter=as_float)
-    values: Array = eqx.field(converter=as_float)
-
-    def __call__(self, t: Array) -> Array:
-        """Value at time `t`."""
-        return jnp.interp(t, self.times, self.values)
 
 
 def fold(
