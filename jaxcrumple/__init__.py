@@ -6,15 +6,17 @@ from jaxcrumple.io import CheckpointError, Run, RunDirectoryError, load
 from jaxcrumple.material import Material
 from jaxcrumple.mesh import Mesh, MeshError
 from jaxcrumple.meshgen import disc, hexagonal, rectangle
-from jaxcrumple.model.confinement import Cone, Cylinder, Plane, Ramp, Sphere, Wall
+from jaxcrumple.model.confinement import Cone, Corners, Cylinder, Plane, Ramp, Sphere, Wall
 from jaxcrumple.model.contact import SelfContact
 from jaxcrumple.model.loads import ElementEnergy, Gravity, LinearMotion, Prescribed
 from jaxcrumple.model.plasticity import AbstractFlowRule, SmoothstepFlow
 from jaxcrumple.model.scene import Scene, sheet
+from jaxcrumple.presets import PRESETS, preset
 from jaxcrumple.renewal import with_contacts
 from jaxcrumple.replay import Record, Replay, replay
 from jaxcrumple.run import resume_run, start_run
-from jaxcrumple.scenes import Setup, arch, cap, energy_drop, fold, fold_angle, radial, relaxed_drop
+from jaxcrumple.scene_file import read_scene_file, write_scene_file
+from jaxcrumple.scenes import Setup, arch, cap, custom, energy_drop, fold, fold_angle, radial, relaxed_drop
 from jaxcrumple.simulate import SimulationError, Solution, frame_times, simulate
 from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.relax import relax
@@ -26,11 +28,13 @@ from jaxcrumple.sweep import campaign, grid, sweep
 from jaxcrumple.system import elastic_tangent, energies, force, mass_matrix, potential_energy, tangent
 
 __all__ = [
+    "PRESETS",
     "RESULTS",
     "AbstractFlowRule",
     "CheckpointError",
     "Cone",
     "ConfigError",
+    "Corners",
     "Cylinder",
     "ElementEnergy",
     "Experiment",
@@ -65,6 +69,7 @@ __all__ = [
     "campaign",
     "cap",
     "configure",
+    "custom",
     "disc",
     "elastic_tangent",
     "energies",
@@ -83,7 +88,9 @@ __all__ = [
     "load",
     "mass_matrix",
     "potential_energy",
+    "preset",
     "radial",
+    "read_scene_file",
     "rectangle",
     "relax",
     "relaxed_drop",
@@ -95,4 +102,5 @@ __all__ = [
     "sweep",
     "tangent",
     "with_contacts",
+    "write_scene_file",
 ]

@@ -11,7 +11,18 @@ from jaxcrumple.material import Material
 from jaxcrumple.scenes import SCENES, SceneEntry, Setup
 from jaxcrumple.solvers.scheme import Integrator, Scheme, integrator, switch_of
 from jaxcrumple.solvers.switch import Switch
-from jaxcrumple.units import LENGTH, TIME, KilogramPerCubicMetre, Metre, Pascal, PerMetre, PerSecond, Second
+from jaxcrumple.units import (
+    LENGTH,
+    TIME,
+    KilogramPerCubicMetre,
+    Metre,
+    Pascal,
+    PerMetre,
+    PerSecond,
+    Second,
+    Unit,
+    unit_of,
+)
 from jaxcrumple.validation import ConfigError, Place, shortened, validated
 from jaxcrumple.words import nearest
 
@@ -23,7 +34,7 @@ class Options(BaseModel):
 
 
 class MaterialOptions(Options):
-    """The sheet's material, in SI units; see `Material`. What a `preset` has is used where a number is not given."""
+    """The sheet's material, in SI units; see `Material`. A `preset` has the numbers that are not given."""
 
     preset: str | None = None
     young_modulus: Pascal = 1e9
@@ -45,7 +56,7 @@ class MaterialOptions(Options):
     @model_validator(mode="before")
     @classmethod
     def _completed(cls, values: Any) -> Any:
-        """Numbers of the preset, if one is named; `yield_c0` takes the place of the default yield curvature."""
+        """Numbers of the preset, if one is named; `yield_c0` replaces the default yield curvature."""
         if not isinstance(values, Mapping):
             return values
         named, thickness = _preset_of(values.get("preset")), _positive(values.get("thickness"))
@@ -151,7 +162,7 @@ def configure(
 
 
 def with_settings(values: Mapping[str, Any], settings: Sequence[str] | Mapping[str, Any]) -> dict[str, Any]:
-    """Values of a run by group, as in a scene file, with single options replaced that are given by name alone.
+    """Values of a run by group, as in a scene file, with single options replaced, given by name alone.
 
     **Raises:** `ConfigError` for an unknown scene or name.
     """
@@ -232,6 +243,12 @@ def _place(group: str, model: type[BaseModel], message: str) -> Place:
     """Where a value is of which a builder's message speaks first."""
     first = message.split(maxsplit=1)[0]
     return (group, first) if first in model.model_fields else (group,)
+
+
+def unit_named(scene: str, name: str) -> Unit | None:
+    """The unit of an option of a scene, its material or the solver; None for one without, or none such."""
+    fields = [model.model_fields.get(name) for model in _groups(_entry(scene)).values()]
+    return next((unit_of(field) for field in fields if field is not None), None)
 
 
 def pairs(settings: Sequence[str] | Mapping[str, Any]) -> list[tuple[str, Any]]:

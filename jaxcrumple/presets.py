@@ -15,8 +15,8 @@ from jaxcrumple.words import nearest
 
 
 class Preset(NamedTuple):
-    """A material by Young's modulus in Pa, density in kg/m3, the usual thickness in m, and the strain at which
-    it yields."""
+    """A material by Young's modulus in Pa, density in kg/m3, the usual thickness in m, and the strain at
+    which it yields."""
 
     young_modulus: float
     density: float
@@ -29,10 +29,10 @@ class Preset(NamedTuple):
 
 
 PAPER = Preset(young_modulus=3e9, density=800.0, thickness=0.1e-3, yield_strain=0.7e-2)
-"""Copy paper, by its own label 80 g/m2, and 0.1 mm thick, so 800 kg/m3. Young's modulus: textbooks (e.g. Niskanen,
-Paper Physics, 2008) have about 2 GPa across and 5 GPa along the machine's direction for printing papers, of
-which 3 GPa is about the geometric mean. Derived, and the least certain of all: stress leaves its straight line
-between some 0.3 and 1 % of strain, and no point there is a sharp yield point."""
+"""Copy paper, by its own label 80 g/m2, and 0.1 mm thick, so 800 kg/m3. Young's modulus: textbooks (e.g.
+Niskanen, Paper Physics, 2008) have about 2 GPa across and 5 GPa along the machine's direction for printing
+papers, of which 3 GPa is about the geometric mean. Derived, and the least certain of all: stress leaves its
+straight line between some 0.3 and 1 % of strain, and no point there is a sharp yield point."""
 
 MYLAR = Preset(young_modulus=4.9e9, density=1390.0, thickness=50.8e-6, yield_strain=2e-2)
 """Mylar, a film of PET stretched both ways: moduli of 490 and 510 kg/mm2 (4.8 and 5.0 GPa), 1.39 g/cm3 and a
@@ -41,9 +41,9 @@ polyester film: physical-thermal properties", table 1); 200 gauge, 50.8 um. Deri
 stress over the modulus, as the film flows at little more stress from there on."""
 
 ALUMINIUM = Preset(young_modulus=69e9, density=2700.0, thickness=16e-6, yield_strain=0.05e-2)
-"""Household foil of nearly pure, annealed aluminium (1235-O): 69 GPa and 2.7 g/cm3; its proof stress lies
-between 23 MPa, soft, and 57 MPa, hard (makeitfrom.com, "1235 aluminum"); 16 um thick. Derived: a yield stress of
-35 MPa over the modulus. Foil hardens when it is bent, which the model does not."""
+"""Household foil of nearly pure aluminium (1235): 69 GPa and 2.7 g/cm3; its proof stress lies between 23 MPa,
+soft, and 57 MPa, hard (makeitfrom.com, "1235 aluminum"); 16 um thick. Derived: a yield stress of 35 MPa over
+the modulus. Foil hardens when it is bent, which the model does not."""
 
 PRESETS: Mapping[str, Preset] = MappingProxyType({"paper": PAPER, "Mylar": MYLAR, "aluminium": ALUMINIUM})
 

@@ -1,14 +1,15 @@
 """Numbers with a physical dimension: plain in SI units, or as strings that carry a unit.
 
-A field of an option group that is annotated with one of the types below takes `0.25e-3` and `"0.25 mm"` alike.
-Pint converts in decimal arithmetic, so both are the same number to the last digit.
+A field of an option group that has one of the types below takes `0.25e-3` and `"0.25 mm"` alike. Pint
+converts in decimal arithmetic, so both are the same number to the last digit.
 """
 
 import functools
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
@@ -69,6 +70,20 @@ class Unit:
         except (ValueError, pint.PintError) as error:
             hint = nearest(text[:_LONGEST], self.usual)
             raise _refused(f"has an unknown unit, {text[:_LONGEST]!r}{hint}") from error
+
+
+def unit_of(field: Any) -> Unit | None:
+    """The unit of a Pydantic field, of what is in its lists as well; None for one without."""
+    return next((found for found in _metadata(field) if isinstance(found, Unit)), None)
+
+
+def _metadata(annotation: Any) -> Iterator[Any]:
+    """All that is annotated in a type or a field, inner types included."""
+    for name in ("metadata", "__metadata__"):
+        yield from getattr(annotation, name, ())
+    inner = getattr(annotation, "annotation", None)
+    for part in (*get_args(annotation), *([] if inner is None else [inner])):
+        yield from _metadata(part)
 
 
 @functools.cache

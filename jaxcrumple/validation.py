@@ -38,7 +38,7 @@ def validated(
     except ValidationError as error:
         # A misspelt name tells more than the one that is missing for it.
         first = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
-        inner = _given(first["loc"], values)
+        inner = _given(first, values)
         raise ConfigError(_said(first, model, (*place, *inner), inner), (*place, *inner)) from error
 
 
@@ -50,8 +50,12 @@ def dotted(place: Sequence[str | int]) -> str:
 def _said(first: Any, model: type[BaseModel], place: Place, inner: Place) -> str:
     where = dotted(place)
     if first["type"] in ("missing", "union_tag_not_found"):
-        lacks = str(first.get("ctx", {}).get("discriminator", "")).strip("'")
-        return f"{'.'.join(filter(None, (where, lacks)))} is missing; give one."
+        return f"{where} is missing; give one."
+    if first["type"] == "union_tag_invalid":
+        tags = [tag.strip("' ") for tag in first["ctx"]["expected_tags"].split(",")]
+        return (
+            f"{where} = {shortened(first['ctx']['tag'])} is unknown{nearest(str(first['ctx']['tag']), tags)}"
+        )
     if first["type"] == "extra_forbidden":
         return f"{where!r} is unknown{nearest(str(inner[-1]), _names(model, first['loc']))}"
     said = first["msg"].removeprefix("Value error, ")
@@ -69,17 +73,24 @@ def shortened(value: Any) -> str:
     return text if len(text) <= QUOTED else f"{text[:QUOTED]}..."
 
 
-def _given(loc: Place, values: Any) -> Place:
+def _given(error: Any, values: Any) -> Place:
     """Where an error is, without the names that Pydantic adds for members of a union."""
     found: list[str | int] = []
-    for number, part in enumerate(loc):
-        inside = isinstance(values, Mapping) if isinstance(part, str) else isinstance(values, list)
-        known = inside and (part in values if isinstance(part, str) else part < len(values))
-        if known:
+    for part in error["loc"]:
+        if _holds(values, part):
             values = values[part]
-        if known or (inside and number == len(loc) - 1):
             found.append(part)
+    if error["type"] == "missing":
+        found.append(error["loc"][-1])
+    elif error["type"] in ("union_tag_not_found", "union_tag_invalid"):
+        found.append(error["ctx"]["discriminator"].strip("'"))
     return tuple(found)
+
+
+def _holds(values: Any, part: str | int) -> bool:
+    if isinstance(values, list):
+        return isinstance(part, int) and part < len(values)
+    return isinstance(values, Mapping) and part in values
 
 
 def _parents(model: type[BaseModel], loc: Place) -> list[type[BaseModel]]:
@@ -89,7 +100,7 @@ def _parents(model: type[BaseModel], loc: Place) -> list[type[BaseModel]]:
         owned = [one.model_fields[part].annotation for one in models if part in one.model_fields]
         # A part that names no field is an index or the tag of a union's member.
         tagged = [one for one in models if any(part in get_args(f.annotation) for f in _fields(one))]
-        models = [found for annotation in owned for found in _models(annotation)] or tagged or models
+        models = [found for annotation in owned for found in models(annotation)] or tagged or models
     return models
 
 
@@ -107,10 +118,10 @@ def _fields(model: type[BaseModel]) -> Iterator[Any]:
     return iter(model.model_fields.values())
 
 
-def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    """All models inside an annotation."""
+def models(annotation: Any) -> Iterator[type[BaseModel]]:
+    """All models inside an annotation, not those inside of these."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     elif typing.get_origin(annotation) is not None:
         for part in get_args(annotation):
-            yield from _models(part)
+            yield from models(part)

@@ -3,6 +3,7 @@
 from jaxcrumple.scenes.arch import arch
 from jaxcrumple.scenes.cap import cap
 from jaxcrumple.scenes.catalogue import SCENES, SceneEntry
+from jaxcrumple.scenes.custom import custom
 from jaxcrumple.scenes.fold import fold, fold_angle
 from jaxcrumple.scenes.radial import radial
 from jaxcrumple.scenes.setup import Setup
@@ -15,6 +16,7 @@ __all__ = [
     "Setup",
     "arch",
     "cap",
+    "custom",
     "energy_drop",
     "fold",
     "fold_angle",

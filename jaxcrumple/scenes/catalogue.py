@@ -1,7 +1,7 @@
 """Scenes that can be run by name, with their options."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -9,6 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from jaxcrumple.model.contact import Potential
 from jaxcrumple.scenes.arch import arch
 from jaxcrumple.scenes.cap import cap
+from jaxcrumple.scenes.custom import custom
+from jaxcrumple.scenes.custom_options import CustomOptions, custom_walls, refuse_idle_contact
 from jaxcrumple.scenes.fold import TIMES, fold
 from jaxcrumple.scenes.radial import radial
 from jaxcrumple.scenes.setup import Setup
@@ -18,7 +20,8 @@ from jaxcrumple.units import LENGTH, TIME, Metre, MetrePerSecond, Newton, Second
 class SceneEntry(NamedTuple):
     """A scene's function, its options, the time it ends by default (s), and one line about it.
 
-    `lasts`: the time in s, of the options, that a run cannot reach, and `why_it_ends` there.
+    `lasts`: the time in s, of the options, that a run cannot reach, and `why_it_ends` there; `walls`: what
+    confines the sheet, of the options, in words.
     """
 
     build: Callable[..., Setup]
@@ -27,6 +30,7 @@ class SceneEntry(NamedTuple):
     summary: str
     lasts: Callable[[Mapping[str, Any]], float] = lambda options: math.inf
     why_it_ends: str = ""
+    walls: Callable[[Mapping[str, Any]], Sequence[str]] = lambda options: ()
 
 
 class RadialOptions(BaseModel):
@@ -47,9 +51,7 @@ class RadialOptions(BaseModel):
 
     @model_validator(mode="after")
     def _of_a_contact(self) -> "RadialOptions":
-        given = [name for name in ("contact_range", "contact_level") if getattr(self, name) is not None]
-        if self.contact is None and given:
-            raise ValueError(f"{given[0]} is of no use to a phantom sheet; leave it or contact=none out")
+        refuse_idle_contact(self)
         return self
 
 
@@ -103,6 +105,11 @@ def _radial_lasts(options: Mapping[str, Any]) -> float:
     return options["radius"] / options["speed"] if options["hold"] is None else math.inf
 
 
+def _radial_walls(options: Mapping[str, Any]) -> Sequence[str]:
+    until = "" if options["hold"] is None else f" until {options['hold']:g} s"
+    return (f"sphere, radius {options['radius']:g} m, shrinking at {options['speed']:g} m/s{until}",)
+
+
 SCENES: dict[str, SceneEntry] = {
     "radial": SceneEntry(
         radial,
@@ -111,6 +118,7 @@ SCENES: dict[str, SceneEntry] = {
         "square sheet in a sphere that shrinks from 7.1 cm at 1 cm/s (Figs. 5, 6, 8)",
         lasts=_radial_lasts,
         why_it_ends="when its sphere has shrunk to nothing",
+        walls=_radial_walls,
     ),
     "arch": SceneEntry(
         arch, ArchOptions, 0.05, "clamped shallow arch that snaps through under a load at midspan"
@@ -119,6 +127,17 @@ SCENES: dict[str, SceneEntry] = {
         cap, CapOptions, 0.05, "shallow spherical cap, pinned at its rim, that a load turns inside out"
     ),
     "fold": SceneEntry(
-        fold, FoldOptions, TIMES.end, "square sheet folded in half, pressed and let go (Fig. 3b)"
+        fold,
+        FoldOptions,
+        TIMES.end,
+        "square sheet folded in half, pressed and let go (Fig. 3b)",
+        walls=lambda options: ("two plates that close and move away",),
+    ),
+    "custom": SceneEntry(
+        custom,
+        CustomOptions,
+        1.0,
+        "a sheet, walls and supports of one's own, from the tables of a scene file",
+        walls=custom_walls,
     ),
 }
