@@ -12,7 +12,7 @@ from jaxcrumple.config import RunConfig, configure
 from jaxcrumple.scene_file import plain
 from jaxcrumple.scenes import SCENES
 from jaxcrumple.units import unit_of
-from jaxcrumple.validation import models
+from jaxcrumple.validation import models_in
 
 
 def template(scene: str) -> str:
@@ -53,7 +53,7 @@ def _fill(
 
 def _model_of(field: Any, value: dict[str, Any]) -> type[BaseModel]:
     """The model of a field that has a value's names."""
-    return next(one for one in models(field.annotation) if set(value) <= set(one.model_fields))
+    return next(one for one in models_in(field.annotation) if set(value) <= set(one.model_fields))
 
 
 def _documented(model: type[BaseModel]) -> list[str]:
@@ -64,7 +64,7 @@ def _comment(field: Any) -> str:
     """Unit, choices and tables that a field takes, in words."""
     parts = [] if (unit := unit_of(field)) is None else [unit.symbol]
     parts += [f'"{choice}"' for choice in _choices(field.annotation)]
-    parts += [f"{{{', '.join(one.model_fields)}}}" for one in models(field.annotation)]
+    parts += [f"{{{', '.join(one.model_fields)}}}" for one in models_in(field.annotation)]
     if NoneType in typing.get_args(field.annotation):
         parts.append("none")
     return " or ".join(parts)
@@ -81,7 +81,7 @@ def _listed(place: str, model: type[BaseModel]) -> typing.Iterator[str]:
     """Commented tables of each kind that lists of a model may hold."""
     for name, field in model.model_fields.items():
         if typing.get_origin(field.annotation) is list:
-            for one in models(typing.get_args(field.annotation)[0]):
+            for one in models_in(typing.get_args(field.annotation)[0]):
                 yield f"\n# [[{place}.{name}]]\n"
                 yield from (f"# # {line}\n" for line in _documented(one))
                 yield from (f"# {line}\n" for line in _lines(one))

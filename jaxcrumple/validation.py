@@ -100,7 +100,7 @@ def _parents(model: type[BaseModel], loc: Place) -> list[type[BaseModel]]:
         owned = [one.model_fields[part].annotation for one in models if part in one.model_fields]
         # A part that names no field is an index or the tag of a union's member.
         tagged = [one for one in models if any(part in get_args(f.annotation) for f in _fields(one))]
-        models = [found for annotation in owned for found in models(annotation)] or tagged or models
+        models = [found for annotation in owned for found in models_in(annotation)] or tagged or models
     return models
 
 
@@ -118,10 +118,10 @@ def _fields(model: type[BaseModel]) -> Iterator[Any]:
     return iter(model.model_fields.values())
 
 
-def models(annotation: Any) -> Iterator[type[BaseModel]]:
+def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
     """All models inside an annotation, not those inside of these."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     elif typing.get_origin(annotation) is not None:
         for part in get_args(annotation):
-            yield from models(part)
+            yield from models_in(part)

@@ -20,7 +20,7 @@ LENGTHS = {
 
 def valid(rng: np.random.Generator) -> dict:
     """Values of a scene file."""
-    scene = str(rng.choice(list(SCENES)))
+    scene = _word(rng, list(SCENES))
     values = {
         "scene": scene,
         "nodes": int(rng.integers(16, 5000)),
@@ -52,10 +52,14 @@ def plain_words(value):
     return None if value == "none" else value
 
 
+def _word(rng, words):
+    return words[rng.integers(len(words))]
+
+
 def _length(rng, around):
     value = float(around * rng.uniform(1.0, 1.2))
     units = {"m": 1.0, "cm": 1e2, "mm": 1e3, "um": 1e6}
-    unit = str(rng.choice([*units, ""]))
+    unit = _word(rng, [*units, ""])
     return f"{value * units[unit]:.6g} {unit}" if unit else value
 
 
@@ -67,7 +71,7 @@ def _time(rng, low, high):
 def _options(rng, scene):
     found = {name: _length(rng, value) for name, value in LENGTHS.get(scene, {}).items()}
     if scene == "radial":
-        found |= {name: str(rng.choice(words)) for name, words in CONTACT.items()}
+        found |= {name: _word(rng, words) for name, words in CONTACT.items()}
     return {name: value for name, value in found.items() if rng.random() < 0.8}
 
 
@@ -97,14 +101,14 @@ def _custom(rng):
         "walls": [wall for wall in walls if rng.random() < 0.5],
         "supports": [support for support in supports if rng.random() < 0.5],
         "gravity": [0, 0, "-9.81 m/s^2"],
-        **{name: str(rng.choice(words)) for name, words in CONTACT.items()},
+        **{name: _word(rng, words) for name, words in CONTACT.items()},
     }
     return {name: value for name, value in found.items() if rng.random() < 0.8}
 
 
 def _material(rng):
     found = {
-        "preset": str(rng.choice(["Mylar", "paper", "aluminium", "none"])),
+        "preset": _word(rng, ["Mylar", "paper", "aluminium", "none"]),
         "young_modulus": "2.5 GPa",
         "thickness": _length(rng, 1e-4),
         "yield_curvature": "2 1/cm",
@@ -114,8 +118,9 @@ def _material(rng):
 
 
 WRONG = [
-    -1, 0, 1e400, float("nan"), True, [], {}, "", "thin", "3 parsecz", "3 s", "3 m", "3 kg", "1e999999 m", "3 m^9^9",
-    [1, 2], {"a": 1}, "\u2603", "x" * 300, 10**30, "none", [[[]]], "-5 mm", "1 m 1", "0 s", {"times": [0]},
+    -1, 0, 1e400, float("nan"), True, [], {}, "", "thin", "3 parsecz", "3 s", "3 m", "3 kg", "1e999999 m",
+    "3 m^9^9", [1, 2], {"a": 1}, "\u2603", "x" * 300, 10**30, "none", [[[]]], "-5 mm", "1 m 1", "0 s",
+    {"times": [0]},
 ]  # fmt: skip
 
 
@@ -143,7 +148,7 @@ def _spoil(rng, values):
     elif isinstance(table, dict) and how == 1:
         del table[key]
     elif isinstance(table, dict) and how == 2:
-        table[str(rng.choice(["zzz", "radius", "thickness", "kind", "rtol"]))] = _wrong(rng)
+        table[_word(rng, ["zzz", "radius", "thickness", "kind", "rtol"])] = _wrong(rng)
     else:
         table[key] = _wrong(rng)
 
@@ -162,4 +167,4 @@ def _broken(rng, text):
     if rng.random() < 0.5:
         return text[:place]
     junk = ["[", "]]", '"', "=", "\x00", "\n\n=\n", "[[options]]\n", "[options]\n", "'''", "{", "\u2603"]
-    return text[:place] + str(rng.choice(junk)) + text[place:]
+    return text[:place] + _word(rng, junk) + text[place:]
