@@ -142,7 +142,7 @@ def _wall(wall: AnyWall) -> AbstractShape:
 
 
 def _moving(value: float | Motion) -> Any:
-    return Corners(as_float(value.times), as_float(value.values)) if isinstance(value, Motion) else value
+    return Corners(jnp.array(value.times), jnp.array(value.values)) if isinstance(value, Motion) else value
 
 
 def _unit(direction: Sequence[float]) -> Array:
