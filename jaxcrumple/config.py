@@ -36,7 +36,7 @@ class Options(BaseModel):
 class MaterialOptions(Options):
     """The sheet's material, in SI units; see `Material`. A `preset` has the numbers that are not given."""
 
-    preset: str | None = None
+    preset: str | None = Field(None, examples=list(presets.PRESETS))
     young_modulus: Pascal = 1e9
     thickness: Metre = 0.25e-3
     density: KilogramPerCubicMetre = 1000.0

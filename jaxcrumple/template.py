@@ -14,11 +14,15 @@ from jaxcrumple.scenes import SCENES
 from jaxcrumple.units import unit_of
 from jaxcrumple.validation import models_in
 
+# Numbers without a unit in words.
+_NUMBERS = {float: "a number", int: "a whole number"}
+
 
 def template(scene: str) -> str:
     """Text of a scene file: every option with its default, its unit and its choices.
 
-    What may be listed any number of times, such as a wall of `custom`, follows as commented tables.
+    Tables of other kinds, and those that may be listed any number of times, such as a wall of `custom`,
+    follow as comments.
 
     **Raises:** `ConfigError` for an unknown scene.
     """
@@ -62,12 +66,19 @@ def _documented(model: type[BaseModel]) -> list[str]:
 
 def _comment(field: Any) -> str:
     """Unit, choices and tables that a field takes, in words."""
-    parts = [] if (unit := unit_of(field)) is None else [unit.symbol]
-    parts += [f'"{choice}"' for choice in _choices(field.annotation)]
+    unit = unit_of(field)
+    parts = [_NUMBERS[kind] for kind in _NUMBERS if unit is None and _may_be(field.annotation, kind)]
+    parts += [] if unit is None else [unit.symbol]
+    parts += [f'"{choice}"' for choice in field.examples or _choices(field.annotation)]
     parts += [f"{{{', '.join(one.model_fields)}}}" for one in models_in(field.annotation)]
     if NoneType in typing.get_args(field.annotation):
         parts.append("none")
-    return " or ".join(parts)
+    # A default alone says no more than the value does.
+    return " or ".join(parts) if len(parts) > 1 or unit is not None else ""
+
+
+def _may_be(annotation: Any, kind: type) -> bool:
+    return annotation is kind or kind in typing.get_args(annotation)
 
 
 def _choices(annotation: Any) -> list[Any]:
@@ -78,11 +89,12 @@ def _choices(annotation: Any) -> list[Any]:
 
 
 def _listed(place: str, model: type[BaseModel]) -> typing.Iterator[str]:
-    """Commented tables of each kind that lists of a model may hold."""
+    """Commented tables of each kind that a table of a model, or a list of it, may be."""
     for name, field in model.model_fields.items():
-        if typing.get_origin(field.annotation) is list:
-            for one in models_in(typing.get_args(field.annotation)[0]):
-                yield f"\n# [[{place}.{name}]]\n"
+        many = typing.get_origin(field.annotation) is list
+        for one in models_in(field.annotation):
+            if not isinstance(field.default, one):
+                yield f"\n# [[{place}.{name}]]\n" if many else f"\n# [{place}.{name}]\n"
                 yield from (f"# # {line}\n" for line in _documented(one))
                 yield from (f"# {line}\n" for line in _lines(one))
 

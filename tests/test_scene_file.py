@@ -77,7 +77,7 @@ def test_a_file_says_what_settings_say(file):
 def test_a_template_is_a_file_of_all_defaults(file, scene):
     text = template(scene)
     assert jc.read_scene_file(file(text)) == configure(scene)
-    assert "# kg/m^3" in text and '# "uniform" or "area"' in text
+    assert "# kg/m^3" in text and '# "uniform" or "area"' in text and '"Mylar" or' in text
 
 
 def test_the_commented_tables_of_a_template_are_read(file):
