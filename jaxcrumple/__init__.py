@@ -21,15 +21,18 @@ from jaxcrumple.model.contact import SelfContact
 from jaxcrumple.model.loads import ElementEnergy, Gravity, LinearMotion, Prescribed
 from jaxcrumple.model.plasticity import AbstractFlowRule, SmoothstepFlow
 from jaxcrumple.model.scene import Scene, sheet
+from jaxcrumple.presets import PRESETS, preset
 from jaxcrumple.renewal import with_contacts
 from jaxcrumple.replay import Record, Replay, replay
 from jaxcrumple.run import resume_run, start_run
+from jaxcrumple.scene_file import read_scene_file, write_scene_file
 from jaxcrumple.scenes import (
     Setup,
     arch,
     axial,
     cap,
     conical,
+    custom,
     cylindrical,
     dcone,
     energy_drop,
@@ -55,6 +58,7 @@ from jaxcrumple.sweep import campaign, grid, sweep
 from jaxcrumple.system import elastic_tangent, energies, force, mass_matrix, potential_energy, tangent
 
 __all__ = [
+    "PRESETS",
     "RESULTS",
     "AbstractFlowRule",
     "Ball",
@@ -99,6 +103,7 @@ __all__ = [
     "cap",
     "configure",
     "conical",
+    "custom",
     "cylindrical",
     "dcone",
     "disc",
@@ -120,7 +125,9 @@ __all__ = [
     "load",
     "mass_matrix",
     "potential_energy",
+    "preset",
     "radial",
+    "read_scene_file",
     "rectangle",
     "relax",
     "relaxed_drop",
@@ -137,4 +144,5 @@ __all__ = [
     "tangent",
     "unload",
     "with_contacts",
+    "write_scene_file",
 ]

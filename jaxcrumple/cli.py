@@ -1,15 +1,18 @@
-"""The command line: `jaxcrumple run`, `calibrate`, `sweep`, `campaign`, `figure`, `scenes`, `plot`."""
+"""The command line: `jaxcrumple run`, `check`, `calibrate`, `sweep`, `campaign`, `figure` and others."""
 
 import importlib.metadata
 import os
 import sys
 import tempfile
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import jax
 import typer
 from rich.console import Console
+
+if TYPE_CHECKING:
+    from jaxcrumple.config import RunConfig
 
 app = typer.Typer(
     help="Simulate thin elastoplastic sheets that fold, buckle and crumple.",
@@ -57,6 +60,12 @@ def _enable_compilation_cache() -> None:
     jax.config.update("jax_compilation_cache_dir", str(base / "jaxcrumple" / "xla"))
 
 
+SceneOrFile = Annotated[
+    str, typer.Argument(metavar="SCENE|FILE.toml", help="A scene (see `jaxcrumple scenes`) or a scene file.")
+]
+Nodes = Annotated[int | None, typer.Option(help="Nodes of the mesh (default: 1000).")]
+EndTime = Annotated[str | None, typer.Option(help="End time in s, or with a unit (default: the scene's).")]
+Seed = Annotated[int | None, typer.Option(help="Seed of mesh and imperfection (default: 0).")]
 Setting = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="An option of scene, material or solver; may repeat."),
@@ -65,29 +74,32 @@ Setting = Annotated[
 
 @app.command()
 def run(
-    scene: Annotated[str, typer.Argument(help="Name of a scene; see `jaxcrumple scenes`.")],
-    nodes: Annotated[int | None, typer.Option(help="Nodes of the mesh (default: 1000).")] = None,
-    t_end: Annotated[float | None, typer.Option(help="End time in s (default: the scene's).")] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of mesh and imperfection (default: 0).")] = None,
+    scene: SceneOrFile,
+    nodes: Nodes = None,
+    t_end: EndTime = None,
+    seed: Seed = None,
     settings: Setting = None,
-    out: Annotated[Path | None, typer.Option(help="New folder for results (default: runs/SCENE).")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="New folder for results (default: runs/SCENE or FILE).")
+    ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out.")] = False,
 ) -> None:
     """Run a scene and write its trajectory, tables, checkpoint, summary and pictures to a folder."""
-    from jaxcrumple.config import configure, pairs
+    from jaxcrumple.config import pairs
     from jaxcrumple.io import RunDirectory
     from jaxcrumple.progress import ConsoleProgress
-    from jaxcrumple.run import check_resumable, resume_run, start_run, stored_config
+    from jaxcrumple.run import check_resumable, flat, resume_run, start_run, stored_config
 
-    folder = out or Path("runs") / scene
+    folder = out or Path("runs") / Path(scene).with_suffix("").name
     given = {"nodes": nodes, "t_end": t_end, "seed": seed}
     asked: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
-    if resume and not asked and not settings:
+    if resume and not asked and not settings and not _is_file(scene):
         config = stored_config(RunDirectory.open(folder)).model_copy(update={"scene": scene})
     else:
-        config = configure(scene, settings=settings or (), **asked)
+        config = _asked(scene, settings, asked)
     if resume:
-        check_resumable(config, [*asked, *(key for key, _ in pairs(settings or ()))], folder)
+        named = [*asked, *(key for key, _ in pairs(settings or ()))]
+        check_resumable(config, flat(config) if _is_file(scene) else named, folder)
     try:
         with ConsoleProgress(config.t_end, console) as progress:
             summary = resume_run(folder, [progress]) if resume else start_run(config, folder, [progress])
@@ -98,6 +110,36 @@ def run(
     _report(summary, folder, pictures)
     if summary["result"] != "success":
         raise typer.Exit(1)
+
+
+@app.command()
+def check(
+    scene: SceneOrFile,
+    nodes: Nodes = None,
+    t_end: EndTime = None,
+    seed: Seed = None,
+    settings: Setting = None,
+) -> None:
+    """Say what a scene or a scene file will run, and about what it takes. Nothing is built or compiled."""
+    from jaxcrumple.check import described
+
+    given = {"nodes": nodes, "t_end": t_end, "seed": seed}
+    config = _asked(scene, settings, {key: value for key, value in given.items() if value is not None})
+    for line in described(config):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _is_file(scene: str) -> bool:
+    return scene.endswith(".toml")
+
+
+def _asked(scene: str, settings: list[str] | None, top: dict[str, Any]) -> "RunConfig":
+    """The configuration of a scene or a scene file, with what else is given."""
+    from jaxcrumple.config import configure
+    from jaxcrumple.scene_file import read_scene_file
+
+    make = read_scene_file if _is_file(scene) else configure
+    return make(scene, settings=settings or (), **top)
 
 
 calibrations = typer.Typer(help="Find properties of a sheet from what is measured.", no_args_is_help=True)
@@ -226,7 +268,9 @@ def campaign(
 @app.command()
 def figure(
     name: Annotated[str, typer.Argument(help="Number of the paper's figure, such as 8b.")],
-    out: Annotated[Path | None, typer.Option(help="Folder of runs and pictures (default: figures/NAME).")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of runs and pictures (default: figures/NAME).")
+    ] = None,
     full: Annotated[bool, typer.Option("--full", help="At the paper's size, not that of a laptop.")] = False,
 ) -> None:
     """Do the runs of a figure of the paper that its folder lacks, and draw it."""
@@ -262,11 +306,20 @@ def _all_must_succeed(success) -> None:
 
 
 @app.command()
-def scenes() -> None:
+def scenes(
+    toml: Annotated[
+        str | None, typer.Option(metavar="SCENE", help="Write a scene file with all defaults instead.")
+    ] = None,
+) -> None:
     """List the scenes and their options with defaults."""
     from jaxcrumple.config import MaterialOptions, RunConfig, SolverOptions
     from jaxcrumple.scenes import SCENES
 
+    if toml is not None:
+        from jaxcrumple.template import template
+
+        print(template(toml), end="")
+        return
     for name, entry in SCENES.items():
         console.print(f"[bold]{name}[/bold]: {entry.summary}; ends at t = {entry.t_end} s")
         _print_options(entry.options)

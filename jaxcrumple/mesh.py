@@ -99,7 +99,7 @@ class Mesh:
         path = Path(path)
         if not path.is_file():
             raise FileNotFoundError(f"mesh file {str(path)!r} does not exist; check the path")
-        data = _read(path)
+        data = read_file(path)
         others = sorted({c.type for c in data.cells} - {"triangle", "line", "vertex"})
         if others:
             raise MeshError(f"{str(path)!r} has cells of type {', '.join(others)}; triangulate them")
@@ -386,7 +386,8 @@ def _hilbert_index(cells: NDArray[np.int64], bits: int) -> NDArray[np.int64]:
     return index
 
 
-def _read(path: Path) -> meshio.Mesh:
+def read_file(path: str | Path) -> meshio.Mesh:
+    """A file as meshio reads it. **Raises:** `MeshError`."""
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             return meshio.read(path)

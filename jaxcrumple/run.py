@@ -191,7 +191,7 @@ def check_resumable(config: RunConfig, given: Collection[str], out: str | Path) 
 
     **Raises:** `ConfigError` naming the options that differ, and their values.
     """
-    stored, wanted = _flat(stored_config(RunDirectory.open(out))), _flat(config)
+    stored, wanted = flat(stored_config(RunDirectory.open(out))), flat(config)
     different = [name for name in ("scene", *given) if stored.get(name) != wanted[name]]
     if different:
         was = ", ".join(f"{name} = {stored.get(name)!r}, not {wanted[name]!r}" for name in different)
@@ -201,7 +201,7 @@ def check_resumable(config: RunConfig, given: Collection[str], out: str | Path) 
         )
 
 
-def _flat(config: RunConfig) -> dict[str, Any]:
+def flat(config: RunConfig) -> dict[str, Any]:
     """All options by name."""
     top = config.model_dump()
     groups = [top.pop(name) for name in ("options", "material", "solver")]

@@ -198,7 +198,7 @@ def test_plot_draws_again(copy, monkeypatch, capsys):
         (["radial", "--set", "thicknes=1"], "did you mean 'thickness'?"),
         (["radial", "--set", "thickness"], "must read key=value"),
         (["radial", "--set", "thickness=-1"], "thickness = -1.0 [m] is not usable"),
-        (["radial", "--t-end", "nan"], "t_end = nan: Input should be a finite number"),
+        (["radial", "--t-end", "nan"], "t_end = 'nan': Input should be a finite number"),
         (["radial", "--nodes", "3"], "nodes = 3: Input should be greater than or equal to 16"),
         (["radial", "--nodes", "60", "--set", "radius=0.07"], "choose at least 0.07071 m"),
         (["radial", "--resume"], "does not exist; give the output folder of a run"),

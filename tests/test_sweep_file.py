@@ -38,6 +38,17 @@ def test_a_file_is_read(file):
     assert found.over == {"load": [0.2, 0.1], "max_step": ["none"]}
 
 
+def test_values_with_units_are_numbers_in_si(file):
+    units = {"t_end = 1e-4": 't_end = "0.1 ms"', "[0.2, 0.1]": '["200 mN", 0.1]', '"none"': '"1 ms", "none"'}
+    text = FILE
+    for plain, unit in units.items():
+        text = text.replace(plain, unit)
+    file.write_text(text)
+    found = read_sweep(file)
+    assert found.end == 1e-4
+    assert found.over == {"load": [0.2, 0.1], "max_step": [1e-3, "none"]}
+
+
 def test_the_command_writes_a_table_and_overwrites_none(file):
     arguments = ["sweep", str(file), "--backend", "batch"]
     result = CliRunner().invoke(app, arguments, catch_exceptions=False)
@@ -76,6 +87,7 @@ def test_a_campaign_is_done_once(file, tmp_path):
         ("[over]", "[overs]", "'overs' is unknown; did you mean 'over'"),
         ("nodes = 60", "frames = 3", "frames is the same for all: give it at the top"),
         ("max_step", "t_end", "t_end is the same for all"),
+        ("[0.2, 0.1]", '["2 mm", 0.1]', r"over\.load = \['2 mm', 0\.1\]: one is a length; give a force"),
     ],
 )
 def test_what_cannot_be_is_refused_by_name_of_the_file(file, old, new, message):

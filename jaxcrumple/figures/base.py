@@ -18,8 +18,9 @@ Runs = Mapping[str, Run]
 class Figure(NamedTuple):
     """A figure of the paper.
 
-    `summary`: what it shows; `runs`: configurations by name, for a laptop or, given True, at the paper's size;
-    `draw`: makes the pictures, and the data behind them as tables, in a folder, and returns their paths.
+    `summary`: what it shows; `runs`: configurations by name, for a laptop or, given True, at the paper's
+    size; `draw`: makes the pictures, and the data behind them as tables, in a folder, and returns their
+    paths.
     """
 
     summary: str

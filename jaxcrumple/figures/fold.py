@@ -1,8 +1,9 @@
 """Fig. 3b: the angle that a fold keeps against the yield curvature, for several meshes, and their collapse.
 
-With phi the angle that is left and theta = pi - phi, c_f = 2 sin(theta/2); c0 is the mean dimensionless yield
-curvature of the mesh's hinges and lambda = sqrt(n / A). One linear map of lambda c0 with an offset proportional to
-lambda serves all meshes: c_f = a - b lambda c0 + d lambda, fitted where the fold yields and the halves do not touch.
+With phi the angle that is left and theta = pi - phi, c_f = 2 sin(theta/2); c0 is the mean dimensionless
+yield curvature of the mesh's hinges and lambda = sqrt(n / A). One linear map of lambda c0 with an offset
+proportional to lambda serves all meshes: c_f = a - b lambda c0 + d lambda, fitted where the fold yields and
+the halves do not touch.
 """
 
 from pathlib import Path
@@ -74,8 +75,8 @@ def _draw(runs: Runs, folder: Path) -> list[Path]:
     (a, b, d), rms, plain = collapse(table)
     first = next(iter(runs.values())).config
     caption = (
-        f"fold, gap {1e3 * GAP:g} mm, seed {first['seed']}, rtol {first['solver']['rtol']:g}: $c_f$ = {a:.3f} - "
-        f"{b:.4g} m $\\lambda c_0$ {d:+.3g} m $\\lambda$, rms {rms:.3f} (without offset {plain:.3f})"
+        f"fold, gap {1e3 * GAP:g} mm, seed {first['seed']}, rtol {first['solver']['rtol']:g}: $c_f$ = {a:.3f}
+        - " f"{b:.4g} m $\\lambda c_0$ {d:+.3g} m $\\lambda$, rms {rms:.3f} (without offset {plain:.3f})"
     )
     figure = new_figure((8.2, 3.9), caption)
     raw, line = figure.subplots(1, 2, sharey=True)

@@ -27,7 +27,9 @@ def _runs(full: bool) -> dict[str, RunConfig]:
 def _draw(runs: Runs, folder: Path) -> list[Path]:
     shown = [Moment(name, run, len(run.t) - 1) for name, run in runs.items()]
     first = next(iter(runs.values()))
-    caption = f"n = {first.mesh.n_nodes}, seed {first.config['seed']}, rtol {first.config['solver']['rtol']:g}"
+    caption = (
+        f"n = {first.mesh.n_nodes}, seed {first.config['seed']}, rtol {first.config['solver']['rtol']:g}"
+    )
     picture = plot_moments(shown, caption, folder / "figure_7.png")
     return [picture, save_table(table_of(shown), folder / "figure_7.csv")]
 

@@ -51,7 +51,9 @@ def table_of(shown: Sequence[Moment]) -> pd.DataFrame:
 def _row(one: Moment) -> Mapping[str, float | str]:
     run, frame = one.run, one.frame
     history = run.history[run.history["t"] <= run.t[frame] * (1.0 + 1e-9)]
-    energies = {name: float(history[name].iloc[-1]) if len(history) else 0.0 for name in ("stretch", "bending")}
+    energies = {
+        name: float(history[name].iloc[-1]) if len(history) else 0.0 for name in ("stretch", "bending")
+    }
     curvature = mean_curvature(run.mesh, run.x[frame])
     return {
         "panel": one.title,

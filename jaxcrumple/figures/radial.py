@@ -12,7 +12,7 @@ from jaxcrumple.figures.base import Figure, Runs, about, save_table
 from jaxcrumple.figures.panels import moments, plot_moments, table_of
 from jaxcrumple.io import Run
 from jaxcrumple.measure import mean_curvature, stacked_layers, volume_fraction
-from jaxcrumple.plot import new_figure, plot_steps, save_figure
+from jaxcrumple.plot import plot_steps
 from jaxcrumple.plot_sections import plot_section, plot_volume_fraction
 
 # Moments of the panels, as shares of a run.
@@ -57,8 +57,8 @@ def _draw_inside(runs: Runs, folder: Path) -> list[Path]:
     frames = [one.frame for one in moments(run, (0.9, 1.0))]
     fractions = {f"t = {run.t[k]:.3g} s": volume_fraction(mesh, run.x[k], thickness) for k in frames}
     paths = [
-        plot_section(mesh, run.x[k], thickness, caption=about(run, run.t[k]), path=folder / f"figure_8b_{place}.png")
-        for place, k in enumerate(frames, 1)
+        plot_section(mesh, run.x[k], thickness, caption=about(run, run.t[k]), path=folder /
+        f"figure_8b_{place}.png") for place, k in enumerate(frames, 1)
     ]  # fmt: skip
     paths.append(plot_volume_fraction(fractions, caption=about(run), path=folder / "figure_8b.png"))
     rows = [
@@ -84,7 +84,9 @@ def rearrangement(run: Run) -> int:
     """
     maps = np.array([mean_curvature(run.mesh, x) for x in run.x])
     squares = (maps**2) @ run.mesh.node_area
-    change = (np.diff(maps, axis=0) ** 2) @ run.mesh.node_area / np.maximum(squares[1:] + squares[:-1], 1e-300)
+    change = (
+        (np.diff(maps, axis=0) ** 2) @ run.mesh.node_area / np.maximum(squares[1:] + squares[:-1], 1e-300)
+    )
     late = len(change) // 2
     return late + 1 + int(np.argmax(change[late:]))
 

@@ -55,7 +55,8 @@ class Prescribed(eqx.Module):
     """Node components that follow a given motion (fixed nodes: zero velocity), for good or for some time.
 
     **Arguments:** `mask` (n, 3) bool, True where prescribed; `motion` an `AbstractMotion`; `until`: time in
-    s of the release, after which all are free. Make it a frame time, so that a step ends there.
+    s of the release, after which all are free, or (n, 1) times of each node. Make them frame times, so that a
+    step ends there.
     """
 
     mask: Array

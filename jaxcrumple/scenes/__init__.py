@@ -5,6 +5,7 @@ from jaxcrumple.scenes.axial import axial, cylindrical
 from jaxcrumple.scenes.cap import cap
 from jaxcrumple.scenes.catalogue import SCENES, SceneEntry
 from jaxcrumple.scenes.conical import conical
+from jaxcrumple.scenes.custom import custom
 from jaxcrumple.scenes.dcone import dcone, free_sector
 from jaxcrumple.scenes.fold import fold, fold_angle
 from jaxcrumple.scenes.radial import radial, unload
@@ -22,6 +23,7 @@ __all__ = [
     "axial",
     "cap",
     "conical",
+    "custom",
     "cylindrical",
     "dcone",
     "energy_drop",

@@ -1,13 +1,14 @@
 """Sweeps and campaigns as files in TOML."""
 
-import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import Field
 
-from jaxcrumple.config import ConfigError, Options, validated
+from jaxcrumple.config import ConfigError, Options, unit_named, validated
 from jaxcrumple.scenes import SCENES
+from jaxcrumple.toml import read_toml
+from jaxcrumple.units import TIME
 
 
 class SweepFile(Options):
@@ -20,7 +21,7 @@ class SweepFile(Options):
     scene: str
     over: dict[str, list[Any]]
     settings: dict[str, Any] = Field(default_factory=dict)
-    t_end: float | None = Field(None, gt=0, allow_inf_nan=False)
+    t_end: Annotated[float | None, TIME] = Field(None, gt=0, allow_inf_nan=False)
     frames: int | None = Field(None, ge=1, le=100_000)
 
     @property
@@ -32,14 +33,11 @@ class SweepFile(Options):
 def read_sweep(path: str | Path) -> SweepFile:
     """Read a file of `scene`, `t_end`, `frames`, and tables `settings` and `over`.
 
-    The word none stands for an option's None.
+    The word none stands for an option's None. Numbers are in SI units, strings may carry a unit.
 
     **Raises:** `ConfigError` for a file that cannot be read, or with unknown or impossible entries.
     """
-    try:
-        values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path} cannot be read as TOML: {error}") from error
+    values, _ = read_toml(path)
     try:
         found = validated(SweepFile, values)
         if found.scene not in SCENES:
@@ -47,6 +45,18 @@ def read_sweep(path: str | Path) -> SweepFile:
         for name in ("frames", "t_end"):
             if name in found.settings or name in found.over:
                 raise ConfigError(f"{name} is the same for all: give it at the top, before the tables.")
+        over = {name: _in_si(found.scene, name, values) for name, values in found.over.items()}
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
-    return found
+    return found.model_copy(update={"over": over})
+
+
+def _in_si(scene: str, name: str, values: list[Any]) -> list[Any]:
+    """Values of an option, strings with a unit as numbers, which tables and names of runs show."""
+    unit = unit_named(scene, name)
+    if unit is None:
+        return values
+    try:
+        return [unit.si(value) for value in values]
+    except ValueError as error:
+        raise ConfigError(f"over.{name} = {values!r}: one {error}.", ("over", name)) from error

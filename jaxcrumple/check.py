@@ -1,0 +1,63 @@
+"""What a configuration will run, in words, before anything is built or compiled."""
+
+from jaxcrumple.config import RunConfig
+from jaxcrumple.estimate import estimate
+from jaxcrumple.mesh import Mesh
+from jaxcrumple.scenes import SCENES
+
+
+def described(config: RunConfig) -> list[str]:
+    """Lines on scene, sheet, walls, contact, material, solver and end, and what the run may take.
+
+    What only the mesh tells is not looked at, such as a node behind a wall.
+
+    **Raises:** `MeshError` for a mesh file that cannot be used.
+    """
+    nodes, options = _nodes(config), config.options
+    walls = SCENES[config.scene].walls(options)
+    contact = options.get("contact") or "none: the sheet passes through itself"
+    solver = config.solver
+    return [
+        f"scene: {config.scene}, {SCENES[config.scene].summary}",
+        f"nodes: {nodes}, seed {config.seed}",
+        f"walls: {'; '.join(walls) or 'none'}",
+        f"contact: {contact}",
+        f"material: {_material(config)}",
+        f"solver: {solver.scheme}, rtol {solver.rtol:g}",
+        f"until: t = {config.t_end:g} s, in {config.frames} frames",
+        f"takes: {_taken(config, nodes)}",
+    ]
+
+
+def _nodes(config: RunConfig) -> int:
+    sheet = config.options.get("sheet", {})
+    return Mesh.from_file(sheet["path"]).n_nodes if sheet.get("shape") == "file" else config.nodes
+
+
+def _material(config: RunConfig) -> str:
+    made_of = config.material
+    if made_of.yield_c0 is not None:
+        yields = f"yields at c0 = {made_of.yield_c0:g}"
+    elif made_of.yield_curvature is not None:
+        yields = f"yields at {made_of.yield_curvature:.4g} 1/m"
+    else:
+        yields = "elastic"
+    name = "" if made_of.preset is None else f"{made_of.preset}, "
+    return (
+        f"{name}{made_of.young_modulus * 1e-9:.4g} GPa, {made_of.density:g} kg/m3, "
+        f"{made_of.thickness * 1e3:.4g} mm thick, {yields}"
+    )
+
+
+def _taken(config: RunConfig, nodes: int) -> str:
+    guess = estimate(config, nodes)
+    run = " to ".join(_duration(seconds) for seconds in guess.run)
+    compiling = " to ".join(f"{seconds:.0f}" for seconds in guess.compiling)
+    return f"about {run} on one core, compiling {compiling} s, {guess.memory * 1e-9:.1f} GB (rough)"
+
+
+def _duration(seconds: float) -> str:
+    for size, name in ((86400.0, "days"), (3600.0, "hours"), (60.0, "minutes")):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.2g} {name}"
+    return f"{seconds:.2g} s"

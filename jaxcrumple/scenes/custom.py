@@ -1,0 +1,174 @@
+"""A scene of the user's own, from tables: a sheet, walls, supports and gravity."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxcrumple.material import Material
+from jaxcrumple.mesh import FloatArray, Mesh, read_file
+from jaxcrumple.meshgen import disc, rectangle
+from jaxcrumple.model.confinement import AbstractShape, Cone, Corners, Cylinder, Plane, Sphere
+from jaxcrumple.model.contact import SelfContact
+from jaxcrumple.model.fields import as_float
+from jaxcrumple.model.loads import LinearMotion, Prescribed
+from jaxcrumple.model.scene import sheet as scene_of
+from jaxcrumple.scenes.custom_options import (
+    AnyWall,
+    Bend,
+    Box,
+    CustomOptions,
+    Disc,
+    FileSheet,
+    Motion,
+    Square,
+    Support,
+    Taper,
+)
+from jaxcrumple.scenes.setup import Setup
+from jaxcrumple.scenes.sheets import smooth_imperfection
+from jaxcrumple.validation import validated
+
+
+def custom(nodes: int = 1000, seed: int = 0, *, material: Material | None = None, **options: Any) -> Setup:
+    """A sheet among walls and supports that are all options.
+
+    Where the sheet's thickness varies its surface yields everywhere at one strain, that at which `material`
+    does at its own thickness, unless `yield_c0` is given.
+
+    **Arguments:** `nodes` and `seed` of a mesh that is generated; `material`: default `Material()`;
+    `options`: those of `CustomOptions`, as its models or mappings, e.g.
+    `walls=[{"kind": "sphere", "radius": 0.07}]`.
+
+    **Raises:** `ConfigError` for unknown or impossible options; ValueError for a sheet that bends all the way
+    round, a support that holds no node, a file without the thickness that is asked of it, or a mesh that
+    cannot be simulated.
+    """
+    asked: CustomOptions = validated(CustomOptions, options)
+    mesh = _mesh(asked.sheet, nodes, seed)
+    material = _varied(material or Material(), asked.sheet, mesh)
+    touching = (
+        None
+        if asked.contact is None
+        else SelfContact(asked.contact, asked.contact_range, asked.contact_level)
+    )
+    scene = scene_of(
+        mesh,
+        material,
+        walls=[_wall(wall) for wall in asked.walls],
+        gravity=asked.gravity,
+        prescribed=_supports(asked.supports, mesh),
+        damping=asked.damping,
+        contact=touching,
+    )
+    return Setup(mesh, scene, jnp.asarray(mesh.vertices), touching, material)
+
+
+def _mesh(sheet: Square | Disc | FileSheet, nodes: int, seed: int) -> Mesh:
+    if isinstance(sheet, FileSheet):
+        return Mesh.from_file(sheet.path)
+    if isinstance(sheet, Disc):
+        size, flat = 2.0 * sheet.radius, disc(sheet.radius, nodes, seed=seed, sweeps=sheet.sweeps)
+    else:
+        size, flat = sheet.size, rectangle(sheet.size, sheet.size, nodes, seed=seed, sweeps=sheet.sweeps)
+    x = bent(flat.vertices[:, :2], sheet.bend)
+    x[:, 2] += smooth_imperfection(flat.vertices[:, :2], size, sheet.imperfection, seed)
+    return flat.with_rest_shape(x)
+
+
+def bent(points: FloatArray, bend: Bend | None) -> FloatArray:
+    """Points (n, 3) in m of flat ones (n, 2) on a sphere or a cylinder below the plane z = 0, as far from the
+    origin, or from the line along the axis through it, as they were.
+
+    **Raises:** ValueError where they reach round to the other side.
+    """
+    if bend is None:
+        return np.column_stack([points, np.zeros(len(points))])
+    across = np.ones(2) if bend.kind == "sphere" else np.where([bend.axis == "x", bend.axis == "y"], 0.0, 1.0)
+    angle = np.linalg.norm(points * across, axis=1) / bend.radius
+    if angle.max() >= np.pi:
+        raise ValueError(
+            f"sheet.bend.radius = {bend.radius:g} m bends the sheet all the way round; choose more than "
+            f"{bend.radius * angle.max() / np.pi:.4g} m."
+        )
+    # np.sinc(x) is sin(pi x) / (pi x).
+    shrink = 1.0 - (1.0 - np.sinc(angle / np.pi))[:, None] * across
+    return np.column_stack([points * shrink, bend.radius * (np.cos(angle) - 1.0)])
+
+
+def _varied(material: Material, sheet: Square | Disc | FileSheet, mesh: Mesh) -> Material:
+    """The material with the sheet's own thickness by node, where it has one."""
+    if sheet.taper is not None:
+        thickness = tapered(mesh.vertices, sheet.taper)
+    elif isinstance(sheet, FileSheet) and sheet.thickness is not None:
+        thickness = _point_data(sheet.path, sheet.thickness)[mesh.source_nodes]
+    else:
+        return material
+    curvature = material.yield_curvature
+    if curvature is not None:
+        curvature = curvature * material.thickness / thickness
+    return replace(material, thickness=thickness, yield_curvature=curvature)
+
+
+def tapered(x: FloatArray, taper: Taper) -> FloatArray:
+    """Thickness (n,) in m of nodes at `x` (n, 3), linear along a direction."""
+    along = x @ np.asarray(_unit(taper.direction))
+    if np.ptp(along) == 0:
+        raise ValueError("sheet.taper.direction is across the sheet; choose one that it extends in.")
+    share = (along - along.min()) / np.ptp(along)
+    return taper.between[0] + share * (taper.between[1] - taper.between[0])
+
+
+def _point_data(path: str, name: str) -> FloatArray:
+    data = read_file(path).point_data
+    if name not in data or np.ndim(data[name]) != 1:
+        known = ", ".join(map(repr, data)) or "none"
+        raise ValueError(f"sheet.thickness = {name!r} is not among the point data of {path}: {known}.")
+    return np.asarray(data[name], float)
+
+
+def _wall(wall: AnyWall) -> AbstractShape:
+    if wall.kind == "sphere":
+        return Sphere(jnp.asarray(wall.center), _moving(wall.radius))
+    if wall.kind == "plane":
+        return Plane(_unit(wall.normal), _moving(wall.offset))
+    center, axis = jnp.asarray(wall.center), _unit(wall.axis)
+    if wall.kind == "cylinder":
+        return Cylinder(center, axis, _moving(wall.radius))
+    return Cone(center, axis, as_float(wall.half_angle), _moving(wall.height))
+
+
+def _moving(value: float | Motion) -> Any:
+    return Corners(jnp.array(value.times), jnp.array(value.values)) if isinstance(value, Motion) else value
+
+
+def _unit(direction: Sequence[float]) -> Array:
+    # Scaled first, so that the square of no component overflows.
+    scaled = np.array(direction) / np.max(np.abs(direction))
+    return jnp.asarray(scaled / np.linalg.norm(scaled))
+
+
+def _supports(supports: Sequence[Support], mesh: Mesh) -> Prescribed | None:
+    if not supports:
+        return None
+    held = np.zeros(mesh.n_nodes, bool)
+    velocity, until = np.zeros((mesh.n_nodes, 3)), np.full((mesh.n_nodes, 1), np.inf)
+    for number, support in enumerate(supports):
+        here = _inside(support.nodes, mesh)
+        if not here.any():
+            raise ValueError(f"supports[{number}] holds no node of the sheet; give it a larger box.")
+        held |= here
+        velocity[here] = support.velocity
+        until[here] = np.inf if support.until is None else support.until
+    mask = jnp.asarray(np.repeat(held[:, None], 3, axis=1))
+    return Prescribed(mask, LinearMotion(jnp.asarray(mesh.vertices), as_float(velocity)), as_float(until))
+
+
+def _inside(nodes: str | Box, mesh: Mesh) -> np.ndarray:
+    """Which nodes (n,) a support holds."""
+    if isinstance(nodes, Box):
+        return np.all((mesh.vertices >= nodes.lower) & (mesh.vertices <= nodes.upper), axis=1)
+    return np.isin(np.arange(mesh.n_nodes), mesh.boundary_nodes)
