@@ -221,8 +221,8 @@ def plot_run(folder: str | Path) -> list[Path]:
 
 
 def draw_sheet(axes: Any, mesh: Mesh, x: FloatArray, scale: ScalarMappable, values: FloatArray) -> None:
-    """The sheet at positions `x` (n, 3) in m into three-dimensional axes in mm, shaded, in colours of `values`
-    per node or face."""
+    """The sheet at positions `x` (n, 3) in m into three-dimensional axes in mm, shaded, in colours of
+    `values` per node or face."""
     corners = 1e3 * x[mesh.faces]
     colors = _shaded(scale.to_rgba(_on_faces(mesh, values)), corners)
     axes.add_collection3d(Poly3DCollection(corners, facecolors=colors, edgecolors=colors, linewidths=0.2))

@@ -39,7 +39,7 @@ def _runs(full: bool) -> dict[str, RunConfig]:
 
 
 def folded(run: Run) -> dict[str, float]:
-    """Nodes, lambda in 1/m, yield curvature in 1/m, c0, angle in degrees and c_f of a fold that was let go."""
+    """Nodes, lambda and yield curvature in 1/m, c0, angle in degrees and c_f of a fold that was let go."""
     material = MaterialOptions(**run.config["material"]).build()
     angle = float(fold_angle(run.mesh, jnp.asarray(run.x[-1])))
     c0 = material.discretize(run.mesh).c0
@@ -47,7 +47,7 @@ def folded(run: Run) -> dict[str, float]:
     return {
         "nodes": run.mesh.n_nodes,
         "lambda": run.mesh.linear_density,
-        "yield_curvature": float(np.mean(material.yield_curvature)),
+        "yield_curvature": run.config["material"]["yield_curvature"],
         "c0": float(np.mean(c0)),
         "angle_deg": float(np.rad2deg(angle)),
         "c_f": float(2.0 * np.cos(0.5 * angle)),
@@ -75,8 +75,8 @@ def _draw(runs: Runs, folder: Path) -> list[Path]:
     (a, b, d), rms, plain = collapse(table)
     first = next(iter(runs.values())).config
     caption = (
-        f"fold, gap {1e3 * GAP:g} mm, seed {first['seed']}, rtol {first['solver']['rtol']:g}: $c_f$ = {a:.3f}
-        - " f"{b:.4g} m $\\lambda c_0$ {d:+.3g} m $\\lambda$, rms {rms:.3f} (without offset {plain:.3f})"
+        f"fold, gap {1e3 * GAP:g} mm, seed {first['seed']}, rtol {first['solver']['rtol']:g}: "
+        f"$c_f$ = {a:.3f} - {b:.4g} m $\\lambda c_0$ {d:+.3g} m $\\lambda$, rms {rms:.3f} (without offset {plain:.3f})"
     )
     figure = new_figure((8.2, 3.9), caption)
     raw, line = figure.subplots(1, 2, sharey=True)

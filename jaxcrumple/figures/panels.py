@@ -27,7 +27,7 @@ def moments(run: Run, shares: Sequence[float]) -> list[Moment]:
 
 
 def plot_moments(shown: Sequence[Moment], caption: str, path: Path) -> Path:
-    """A column for each moment: the sheet in space, and its mean curvature on the flat sheet, in one scale."""
+    """A column for each moment: the sheet in space, and its mean curvature on the flat sheet."""
     curvature = [mean_curvature(one.run.mesh, one.run.x[one.frame]) for one in shown]
     scale = color_scale(np.concatenate(curvature), signed=True)
     figure = new_figure((2.6 * len(shown) + 0.8, 5.4), caption)
