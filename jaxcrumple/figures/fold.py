@@ -74,9 +74,10 @@ def _draw(runs: Runs, folder: Path) -> list[Path]:
     table = pd.DataFrame([folded(run) for run in runs.values()])
     (a, b, d), rms, plain = collapse(table)
     first = next(iter(runs.values())).config
+    law = f"$c_f$ = {a:.3f} - {b:.4g} m $\\lambda c_0$ {d:+.3g} m $\\lambda$"
     caption = (
-        f"fold, gap {1e3 * GAP:g} mm, seed {first['seed']}, rtol {first['solver']['rtol']:g}: "
-        f"$c_f$ = {a:.3f} - {b:.4g} m $\\lambda c_0$ {d:+.3g} m $\\lambda$, rms {rms:.3f} (without offset {plain:.3f})"
+        f"fold, gap {1e3 * GAP:g} mm, seed {first['seed']}, rtol {first['solver']['rtol']:g}: {law}, "
+        f"rms {rms:.3f}, without offset {plain:.3f}"
     )
     figure = new_figure((8.2, 3.9), caption)
     raw, line = figure.subplots(1, 2, sharey=True)
