@@ -10,9 +10,10 @@ import jaxcrumple as jc
 from jaxcrumple.measure import mean_curvature
 from jaxcrumple.scenes import SCENES
 from jaxcrumple.scenes.axial import AxialTimes
+from jaxcrumple.scenes.options import SheetModel
 from jaxcrumple.scenes.sheets import SheetOptions, on_ball
 
-SHEETS = [name for name, entry in SCENES.items() if "contact" in entry.options.model_fields]
+SHEETS = [name for name, entry in SCENES.items() if issubclass(entry.options, SheetModel)]
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,7 @@
 """Numbers and maps of a deformed sheet: strain, creases, energy, volume, stacking. NumPy on the host."""
 
+from jaxcrumple.measure.avalanches import avalanches, power_law_exponent
+from jaxcrumple.measure.confinement import wall_force
 from jaxcrumple.measure.creases import (
     DAMAGE,
     crease_length,
@@ -27,6 +29,7 @@ __all__ = [
     "Distribution",
     "Section",
     "VolumeFraction",
+    "avalanches",
     "center_of_mass",
     "chord_layers",
     "count_intersections",
@@ -49,6 +52,7 @@ __all__ = [
     "mountain_valley_length",
     "node_damage",
     "participation_ratio",
+    "power_law_exponent",
     "radial_alignment",
     "radial_profile",
     "rms_strain",
@@ -56,4 +60,5 @@ __all__ = [
     "stacked_layers",
     "thick_section",
     "volume_fraction",
+    "wall_force",
 ]

@@ -1,0 +1,71 @@
+"""Avalanches: the snaps of a crumple, how long each lasts and how much energy it sets free.
+
+A snap begins where inertia decides where the sheet goes, by the same criterion as `jaxcrumple.replay.snaps`:
+where positions would be off by a share of the sheet's size if inertia were left out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+from jaxcrumple.replay.snaps import HIGH, REST
+from jaxcrumple.solvers.log import STEP
+
+STORED = ("stretch", "bending", "contact")
+
+
+def avalanches(
+    history: pd.DataFrame, *, reference_acceleration: float, inertial_time: float, length_scale: float
+) -> pd.DataFrame:
+    """The snaps of a run, a line for each.
+
+    `begin`, `end` in s; `peak`: the largest acceleration in units of `length_scale` per square of
+    `inertial_time`; `released` in J: what the elastic energy (stretching, bending, contact) falls by from
+    the step before the snap to its end, and, where the run kept the work ledger, what the walls put in
+    meanwhile.
+
+    **Arguments:** `history` of the run; `reference_acceleration` in m/s2, `inertial_time` in s (mass over
+    drag) and `length_scale` in m of its `Scene`.
+
+    **Raises:** ValueError for a history without steps, or for scales that are not positive and finite.
+    """
+    scales = np.array([reference_acceleration, inertial_time, length_scale], float)
+    if not np.all(np.isfinite(scales) & (scales > 0)):
+        raise ValueError(f"scales {scales} must be positive and finite; a sheet without drag has no snaps")
+    steps = history[history["kind"] == STEP] if len(history) else history
+    if len(steps) == 0:
+        raise ValueError("the history has no steps; run longer")
+    share = steps["acceleration"].to_numpy() * reference_acceleration * inertial_time**2 / length_scale
+    t = steps["t"].to_numpy()
+    high = np.flatnonzero(share > HIGH)
+    parts = np.split(high, np.flatnonzero(np.diff(t[high]) > REST * inertial_time) + 1) if len(high) else []
+    energy = steps[list(STORED)].sum(axis=1).to_numpy()
+    work = steps["work_walls"].to_numpy() + steps["work_supports"].to_numpy()
+    rows = [_row(t, share, energy, work, part, REST * inertial_time) for part in parts]
+    return pd.DataFrame(rows, columns=["begin", "end", "peak", "released"])
+
+
+def _row(t, share, energy, work, part: np.ndarray, rest: float) -> tuple[float, float, float, float]:
+    before = max(part[0] - 1, 0)
+    end = min(int(np.searchsorted(t, t[part[-1]] + rest)), len(t) - 1)
+    released = energy[before] - energy[end] + work[end] - work[before]
+    return float(t[before]), float(t[end]), float(share[part].max()), float(released)
+
+
+def power_law_exponent(values: ArrayLike, least: float) -> tuple[float, float]:
+    """Exponent of a density $x^{-\\alpha}$ of the `values` from `least` on, by maximum likelihood, and its
+    standard error (Clauset, Shalizi & Newman, SIAM Review 51 (2009) 661, eqs. 3.1 and 3.2).
+
+    **Raises:** ValueError for a least value that is not positive, or fewer than two values from there on.
+    """
+    found = np.asarray(values, float)
+    found = found[found >= least]
+    if not (least > 0 and len(found) > 1):
+        raise ValueError(f"{len(found)} values are at least {least}; give a positive bound that two reach")
+    spread = float(np.sum(np.log(found / least)))
+    if spread == 0.0:
+        raise ValueError(f"all values are {least}; there is nothing to fit")
+    exponent = 1.0 + len(found) / spread
+    return exponent, (exponent - 1.0) / float(np.sqrt(len(found)))
