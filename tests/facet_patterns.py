@@ -71,7 +71,9 @@ def damage(mesh, pattern, seed, *, missing=0.15, broad=True, background=0.02, sp
     sides = truth[mesh.hinge_faces]
     crossing = sides[:, 0] != sides[:, 1]
     middle = mesh.vertices[mesh.hinges[:, :2], :2].mean(axis=1)
-    p = np.where(crossing, np.where(sides.sum(axis=1) % 2, 1, -1) * 0.6 * rng.lognormal(0, 0.33, len(sides)), 0)
+    p = np.where(
+        crossing, np.where(sides.sum(axis=1) % 2, 1, -1) * 0.6 * rng.lognormal(0, 0.33, len(sides)), 0
+    )
     if broad:
         chosen = crossing & (rng.random(truth.max() + 1)[sides.min(axis=1)] < 0.5)
         touched = np.isin(mesh.hinge_faces, mesh.hinge_faces[chosen]).any(axis=1) & ~crossing

@@ -24,7 +24,7 @@ from jaxcrumple.measure.raster import Raster
 from jaxcrumple.mesh import FloatArray, Mesh
 
 #: A crease is where the damage within its width adds up to a plastic fold angle of at least this, in rad.
-FOLD = 0.1
+FOLD = 0.2
 #: Two regions are two facets where a crease follows at least this part of their common border.
 CLOSED = 0.5
 #: Width of a crease, in units of $\\sqrt{A/n}$, the distance of neighbouring nodes but for 7 %.
@@ -57,7 +57,9 @@ def segment_facets(
     - `mesh`: its rest shape lies in a plane z = constant.
     - `threshold`: hinges are damaged if their dimensionless rest curvature moved by more, as in
       `crease_length`.
-    - `fold`: least fold angle of a crease, in rad, see `fold_across`.
+    - `fold`: least plastic fold angle of a crease, in rad. A hinge folds by $2 \\arcsin(|p|/2)$ (eq. 33), its
+      plastic curvature in 1/m times its height, and a crease by the sum over the hinges across it, so that a
+      finer mesh finds the same creases.
     - `width`: of a crease, in m, by default `ROWS` times $\\sqrt{A/n}$. Damage within it adds up to one
       crease, and what holds no circle of this diameter is no facet.
     - `closed`: part of the border of two facets, from 0 to 1, that is creased.
@@ -67,37 +69,42 @@ def segment_facets(
     width = ROWS / mesh.linear_density if width is None else width
     _check(mesh, fold, width, closed)
     raster = Raster.over(mesh, width / _PIXELS)
-    broken = damaged(mesh, p, threshold)
-    creased = fold_across(mesh, p, raster, broken, width) >= fold
-    regions = _regions(mesh, raster, broken & creased, width)
+    angle = np.where(damaged(mesh, p, threshold), _hinge_fold(mesh, p), 0.0)
+    creased = _fold_across(mesh, angle, raster, 0.5 * width) >= fold
+    regions = _regions(mesh, raster, np.where(creased, angle, 0.0), width)
     return _facets(mesh, _merged(mesh, regions, creased, closed))
 
 
-def fold_across(
-    mesh: Mesh, p: ArrayLike, raster: Raster, broken: NDArray[np.bool_], width: float
-) -> FloatArray:
-    """Plastic fold angle (h,) in rad across the crease at the middle of each hinge.
+def _hinge_fold(mesh: Mesh, p: ArrayLike) -> FloatArray:
+    """Plastic fold angle (h,) $2 \\arcsin(|p|/2)$ in rad of each hinge (eq. 33)."""
+    return 2 * np.arcsin(np.minimum(np.abs(plastic_curvature(mesh, p)) / 2, 1.0))
 
-    A hinge that is `broken` (h,) folds by $2 \\arcsin(|p|/2)$ (eq. 33): its plastic curvature in 1/m times its
-    height. The angle times its length is spread by a Gaussian of standard deviation `width`/2, which on a
-    straight crease of fold angle $\\phi$ has the height $\\phi/(\\sqrt{2\\pi}\\,\\sigma)$, whatever the mesh and the
-    number of rows that share the fold; along a zig-zag it is up to 1.3 times as high.
+
+def _fold_across(mesh: Mesh, angle: FloatArray, raster: Raster, sigma: float) -> FloatArray:
+    """Fold angle (h,) in rad across the crease at the middle of each hinge, from the `angle` (h,) of hinges.
+
+    Angle times length is spread by a Gaussian of standard deviation `sigma` in m. On a straight crease of fold
+    angle $\\phi$ that has the height $\\phi/(\\sqrt{2\\pi}\\,\\sigma)$, whatever the mesh and the number of rows that
+    share the fold; on a zig-zag of edges it is up to 1.3 times as high.
     """
-    ends, sigma = mesh.vertices[mesh.hinges[:, :2], :2], 0.5 * width
-    angle = 2 * np.arcsin(np.minimum(np.abs(plastic_curvature(mesh, p)) / 2, 1.0))
-    amount = angle[broken] * mesh.hinge_length[broken]
-    density = raster.density(ends[broken], amount, sigma)
+    ends = mesh.vertices[mesh.hinges[:, :2], :2]
+    density = raster.density(ends, angle * mesh.hinge_length, sigma)
     return np.sqrt(2 * np.pi) * sigma * density[raster.pixels(ends.mean(axis=1))]
 
 
-def _regions(mesh: Mesh, raster: Raster, crease: NDArray[np.bool_], width: float) -> NDArray[np.intp]:
-    """Region (f,) of each triangle, from 1: the parts of the sheet between necks and `crease` hinges (h,)."""
-    open_ = raster.inside(mesh)
-    rows, columns, _ = raster.lines(mesh.vertices[mesh.hinges[crease, :2], :2])
-    open_[rows, columns] = False
-    distance = distance_transform_edt(open_) * raster.pixel
+def _regions(mesh: Mesh, raster: Raster, angle: FloatArray, width: float) -> NDArray[np.intp]:
+    """Region (f,) of each triangle, from 1: the parts of the sheet between necks and folded hinges.
+
+    Water rises from the middle of the regions to their necks, then over creases, the strongest `angle` (h,)
+    last.
+    """
+    crease = np.flatnonzero(angle)
+    rows, columns, line = raster.lines(mesh.vertices[mesh.hinges[crease, :2], :2])
+    ridge = np.zeros(raster.shape)
+    np.maximum.at(ridge, (rows, columns), angle[crease][line])
+    distance = distance_transform_edt(raster.inside(mesh) & (ridge == 0)) * raster.pixel
     tops, _ = label(h_maxima(distance, 0.5 * width))
-    image = watershed(-distance, tops)
+    image = watershed(np.where(ridge > 0, ridge, -distance), tops)
     return mode(raster.on_faces(mesh, image), axis=1).mode
 
 
@@ -108,15 +115,17 @@ def _merged(mesh: Mesh, regions: NDArray, creased: NDArray[np.bool_], closed: fl
     sides = np.sort(regions[mesh.hinge_faces], axis=1)
     for h in np.flatnonzero(sides[:, 0] != sides[:, 1]):
         a, b = map(int, sides[h])
-        old = graph.get_edge_data(a, b, {"length": 0.0, "creased": 0.0})
-        graph.add_edge(a, b, **_border([old, {"length": mesh.hinge_length[h], "creased": creased[h] * mesh.hinge_length[h]}]))
-    return merge_hierarchical(
-        regions, graph, closed, rag_copy=False, in_place_merge=True,
-        merge_func=lambda graph, a, b: None, weight_func=_joined_border,
-    )
+        hinge = {"length": mesh.hinge_length[h], "creased": mesh.hinge_length[h] * creased[h]}
+        graph.add_edge(a, b, **_border([graph[a][b], hinge] if graph.has_edge(a, b) else [hinge]))
+    options = {"rag_copy": False, "in_place_merge": True, "merge_func": _nothing, "weight_func": _joined}
+    return merge_hierarchical(regions, graph, closed, **options)
 
 
-def _joined_border(graph: RAG, a: int, b: int, other: int) -> dict[str, float]:
+def _nothing(graph: RAG, a: int, b: int) -> None:
+    """Regions have no properties of their own that change as two become one."""
+
+
+def _joined(graph: RAG, a: int, b: int, other: int) -> dict[str, float]:
     """Border to `other` of the union of the regions `a` and `b`."""
     return _border([graph[k][other] for k in (a, b) if graph.has_edge(k, other)])
 
