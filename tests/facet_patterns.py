@@ -1,8 +1,8 @@
 """Crease patterns whose facets are known, put on meshes as plastic curvature, and how well labels agree."""
 
 import numpy as np
-from scipy.spatial import cKDTree
 from scipy.sparse import coo_array
+from scipy.spatial import cKDTree
 
 
 def voronoi(count, seed, size):
@@ -32,7 +32,7 @@ def lines(count, seed, size):
 
 
 def fragments(count, seed, size):
-    """Convex pieces of a square split one after the other, the largest first, by lines through their middle."""
+    """Convex pieces of a square split by lines, the largest piece first."""
     rng = np.random.default_rng(seed)
     samples = rng.uniform(-size / 2, size / 2, (20000, 2))
     pieces, cuts = np.zeros(len(samples), int), []
@@ -62,18 +62,17 @@ def labels(mesh, pattern):
 def damage(mesh, pattern, seed, *, missing=0.15, broad=True, background=0.02, speckle=0.01):
     """Plastic curvature (h,): creases of about 0.6 that alternate in sign from facet to facet.
 
-    Noise of a third, `missing` of the length of creases undamaged in gaps of 1.5 node distances or more;
-    `broad`: half of the creases share their fold with the next row of hinges; a normal `background` everywhere and
-    a `speckle` of single damaged hinges.
+    Noise of a third; `missing`: the part of the length of creases that is undamaged, in gaps of 1.5 node
+    distances or more; `broad`: half of the creases share their fold with the next row of hinges; a normal
+    `background` everywhere and a `speckle` of single damaged hinges.
     """
     rng = np.random.default_rng(seed)
     truth = labels(mesh, pattern)
     sides = truth[mesh.hinge_faces]
     crossing = sides[:, 0] != sides[:, 1]
     middle = mesh.vertices[mesh.hinges[:, :2], :2].mean(axis=1)
-    p = np.where(
-        crossing, np.where(sides.sum(axis=1) % 2, 1, -1) * 0.6 * rng.lognormal(0, 0.33, len(sides)), 0
-    )
+    sign = np.where(sides.sum(axis=1) % 2, 1, -1)
+    p = crossing * sign * 0.6 * rng.lognormal(0, 0.33, len(sides))
     if broad:
         chosen = crossing & (rng.random(truth.max() + 1)[sides.min(axis=1)] < 0.5)
         touched = np.isin(mesh.hinge_faces, mesh.hinge_faces[chosen]).any(axis=1) & ~crossing

@@ -1,10 +1,11 @@
 """Facets of a crumpled sheet: the regions between its creases, found without hands.
 
-The paper segments its crease patterns by hand (section 5.2, Fig. 9d). Creases of a simulation are zig-zags of
-hinges, up to a few rows wide, with gaps, so that regions between damaged hinges alone leak into each other. The
-flat sheet is drawn as an image instead, and split where it is narrow between creases (watershed of the distance
-to the nearest crease, from the h-maxima of that distance; Soille 2003, ch. 6 and 9). What this splits too much
-is joined again: of all borders the one that follows a crease over the smallest part of its length goes first.
+The paper segments its crease patterns by hand (Fig. 9d). Creases of a simulation are zig-zags of hinges, up
+to a few rows wide, with gaps, so that the regions between damaged hinges alone leak into each other. The
+flat sheet is drawn as an image instead, and split where it is narrow between creases: by the watershed of
+the distance to the nearest crease, from the h-maxima of that distance (Soille, Morphological Image Analysis,
+2003, ch. 6 and 9). What this splits too much is joined again: of all borders the one that follows a crease
+over the smallest part of its length goes first.
 """
 
 from __future__ import annotations
@@ -83,9 +84,9 @@ def _hinge_fold(mesh: Mesh, p: ArrayLike) -> FloatArray:
 def _fold_across(mesh: Mesh, angle: FloatArray, raster: Raster, sigma: float) -> FloatArray:
     """Fold angle (h,) in rad across the crease at the middle of each hinge, from the `angle` (h,) of hinges.
 
-    Angle times length is spread by a Gaussian of standard deviation `sigma` in m. On a straight crease of fold
-    angle $\\phi$ that has the height $\\phi/(\\sqrt{2\\pi}\\,\\sigma)$, whatever the mesh and the number of rows that
-    share the fold; on a zig-zag of edges it is up to 1.3 times as high.
+    Angle times length is spread by a Gaussian of standard deviation `sigma` in m. A straight crease of fold
+    angle $\\phi$ gives $\\phi/(\\sqrt{2\\pi}\\,\\sigma)$, whatever the mesh and the number of rows that
+    share the fold; a zig-zag of edges up to 1.3 times that.
     """
     ends = mesh.vertices[mesh.hinges[:, :2], :2]
     density = raster.density(ends, angle * mesh.hinge_length, sigma)
@@ -138,7 +139,7 @@ def _border(parts: list[dict[str, float]]) -> dict[str, float]:
 def _facets(mesh: Mesh, regions: NDArray) -> Facets:
     _, first, number = np.unique(regions, return_index=True, return_inverse=True)
     number = np.argsort(np.argsort(first))[number]
-    return Facets(number, np.bincount(number, weights=mesh.face_area))
+    return Facets(number, np.bincount(number, weights=mesh.face_area).astype(float))
 
 
 def _check(mesh: Mesh, fold: float, width: float, closed: float) -> None:

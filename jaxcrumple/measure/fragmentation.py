@@ -1,15 +1,15 @@
 """Areas of facets against the law of a fragmentation process.
 
 Andrejevic, Lee, Rubinstein & Rycroft, A model for the fragmentation kinetics of crumpled thin sheets, Nature
-Communications 12 (2021) 1470. Facets of area x, in units of the sheet's, split at the rate $\\sqrt x$. At time t
-their mean is $s = a(a+1)/t^2$, and $\\xi = x/s$ has the density
+Communications 12 (2021) 1470. Facets of area x, in units of the sheet's, split at the rate $\\sqrt x$. At
+time t their mean is $s = a(a+1)/t^2$, and $\\xi = x/s$ has the density
 
 $$\\phi(\\xi) = \\frac{a(a+1)}{2\\Gamma(a)} [a(a+1)\\xi]^{a/2-1} e^{-\\sqrt{a(a+1)\\xi}}:$$
 
-$\\sqrt{a(a+1)\\xi} = t\\sqrt x$ follows the gamma distribution of shape a. At constant a it is what remains in the
-long run where a facet splits into $1 + 2/a$ with areas in Dirichlet proportions of parameter $a/2$, two halves cut at
-random for a = 2 (McGrady & Ziff, Phys. Rev. Lett. 58 (1987) 892). That $a = \\sqrt{t/\\tau}$ grows is an observation
-on sheets.
+$\\sqrt{a(a+1)\\xi} = t\\sqrt x$ has the gamma distribution of shape a. At constant a this is what comes
+about in the long run where a facet splits into $1 + 2/a$ with areas in Dirichlet proportions of parameter
+$a/2$; a = 2 is a split in two at random (McGrady & Ziff, Phys. Rev. Lett. 58 (1987) 892). That $a =
+\\sqrt{t/\\tau}$ grows is an observation on sheets.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ class Maturity(NamedTuple):
 class AreaFit(NamedTuple):
     """Areas of facets against three laws that use nothing but these areas.
 
-    The Kolmogorov-Smirnov distances are the largest differences of the cumulated distributions, from 0 to 1. The
-    fragmentation law and the exponential one take one number from the areas, their mean; the log-normal law takes
-    two, the mean and the variance of their logarithms (maximum likelihood).
+    Kolmogorov-Smirnov distances are largest differences of cumulative distributions, from 0 to 1. The
+    fragmentation law and the exponential one take one number from the areas, their mean; the log-normal law
+    takes two, the mean and the variance of their logarithms (maximum likelihood).
     """
 
     facets: int  # number of areas
@@ -53,7 +53,7 @@ class AreaFit(NamedTuple):
 def maturity(mean: float) -> Maturity:
     """Shape and time of the law for the `mean` area s of the facets in units of the sheet's, 0 < s <= 1.
 
-    With $t = \\tau a^2$ the mean $s = a(a+1)/t^2$ becomes $s \\tau^2 a^3 = a + 1$, which has one positive root.
+    With $t = \\tau a^2$ the mean $s = a(a+1)/t^2$ gives $s \\tau^2 a^3 = a + 1$, which has one positive root.
 
     **Raises:** ValueError if `mean` is out of range.
     """
@@ -65,13 +65,13 @@ def maturity(mean: float) -> Maturity:
 
 
 def area_density(xi: ArrayLike, a: float) -> FloatArray:
-    """Density $\\phi$ of areas `xi` >= 0 in units of their mean, of any shape, for the law of shape `a` > 0."""
+    """Density $\\phi$ of areas `xi` > 0 over their mean, for the law of shape `a` > 0, dimensionless."""
     u = np.sqrt(a * (a + 1) * np.asarray(xi, dtype=np.float64))
     return gamma.pdf(u, a) * a * (a + 1) / (2 * u)
 
 
 def area_cdf(xi: ArrayLike, a: float) -> FloatArray:
-    """Part $P(a, \\sqrt{a(a+1)\\xi})$ of the facets whose area is at most `xi` times the mean (gamma function P)."""
+    """Part $P(a, \\sqrt{a(a+1)\\xi})$ of facets of at most `xi` times the mean area, for shape `a` > 0."""
     return gamma.cdf(np.sqrt(a * (a + 1) * np.asarray(xi, dtype=np.float64)), a)
 
 

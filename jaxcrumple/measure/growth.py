@@ -24,25 +24,26 @@ _STEEPEST = 10.0  # largest exponent of the power law
 
 
 def fit_growth(cycle: ArrayLike, length: ArrayLike) -> pd.DataFrame:
-    """Least-squares fits of three laws to the crease `length` (m,), in m, after each `cycle` (m,), from 1.
+    """Least-squares fits of three laws to the crease `length` (m,) in m after each `cycle` (m,), from 1.
 
-    "logarithmic", $c_1 \\ln(1 + c_2 n)$ (Gottesman et al., Communications Physics 1 (2018) 70: $c_1$ in m and $c_2$
-    depend on the compaction), "linear", $c_1 + c_2 n$, and "power", $c_1 n^{c_2}$.
+    "logarithmic", $c_1 \\ln(1 + c_2 n)$ (Gottesman et al., Communications Physics 1 (2018) 70), "linear",
+    $c_1 + c_2 n$, and "power", $c_1 n^{c_2}$.
 
-    **Returns:** a row for each law, the best first, with `c1`, `c2`, the residual sum of squares `rss` in m2, and
-    `aicc`, Akaike's information criterion corrected for few points,
-    $m \\ln(rss/m) + 2k + 2k(k+1)/(m-k-1)$ with k = 3 (two constants and the variance; Hurvich & Tsai 1989). It is
-    NaN for m < 5, where it is not defined; as the laws have equally many constants, it has the order of `rss` anyway.
-    For lengths on a line `c2` of the logarithm ends at its lower limit of 1e-6 over the last cycle.
+    **Returns:** a row for each law, the best first, with `c1`, `c2`, the residual sum of squares `rss` in
+    m2, and `aicc`, Akaike's information criterion for few points, $m \\ln(rss/m) + 2k + 2k(k+1)/(m-k-1)$
+    with k = 3, two constants and the variance (Hurvich & Tsai, Biometrika 76 (1989) 297). It is NaN for m <
+    5, where it is not defined; as all laws have two constants, its order is that of `rss` anyway. Of lengths
+    on a line through zero only the product of the logarithm's c1 and c2 means something: c2 goes to its
+    lower limit.
 
     **Raises:** ValueError for fewer than three different cycles (two constants fit two points by any law),
     cycles below 1, lengths that are not positive, or shapes that differ.
     """
     n, y = _checked(cycle, length)
-    rows = {"logarithmic": _logarithmic(n, y), "linear": np.polyfit(n, y, 1)[::-1], "power": _power(n, y)}
+    rows = {"logarithmic": _logarithmic(n, y), "linear": _linear(n, y), "power": _power(n, y)}
     table = pd.DataFrame.from_dict(rows, orient="index", columns=["c1", "c2"])
     table.index.name = "law"
-    table["rss"] = [float(np.sum((LAWS[law](n, *c) - y) ** 2)) for law, c in rows.items()]
+    table["rss"] = [float(np.sum((LAWS[law](n, c1, c2) - y) ** 2)) for law, (c1, c2) in rows.items()]
     table["aicc"] = [_aicc(rss, y) for rss in table["rss"]]
     return table.sort_values("rss")
 
@@ -53,6 +54,11 @@ def _logarithmic(n: FloatArray, y: FloatArray) -> tuple[float, float]:
     return c1, float(np.exp(q) / n.max())
 
 
+def _linear(n: FloatArray, y: FloatArray) -> tuple[float, float]:
+    slope, start = np.polyfit(n, y, 1)
+    return float(start), float(slope)
+
+
 def _power(n: FloatArray, y: FloatArray) -> tuple[float, float]:
     return _separable(n, y, lambda q: n**q, (-_STEEPEST, _STEEPEST))
 
@@ -60,7 +66,7 @@ def _power(n: FloatArray, y: FloatArray) -> tuple[float, float]:
 def _separable(
     n: FloatArray, y: FloatArray, basis: Callable[[float], FloatArray], bounds: tuple[float, float]
 ) -> tuple[float, float]:
-    """c and q of the least squares of `c * basis(q) - y`; c is linear, and eliminated (Golub & Pereyra 1973)."""
+    """c and q of least squares of `c * basis(q) - y`, c eliminated (variable projection)."""
 
     def factor(q: float) -> float:
         return float(basis(q) @ y / (basis(q) @ basis(q)))

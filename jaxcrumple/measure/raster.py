@@ -38,7 +38,7 @@ class Raster(NamedTuple):
         x, y = mesh.vertices[:, :2].T
         rows, columns = np.indices(self.shape)
         at = self.origin[0] + self.pixel * columns, self.origin[1] + self.pixel * rows
-        return Triangulation(x, y, mesh.faces).get_trifinder()(*at) >= 0
+        return np.asarray(Triangulation(x, y, mesh.faces).get_trifinder()(*at)) >= 0
 
     def lines(self, ends: FloatArray) -> tuple[NDArray, NDArray, NDArray]:
         """Points along straight lines between `ends` (m, 2, 2), less than a pixel apart.
