@@ -7,7 +7,6 @@ display.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,11 +14,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgba_array
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
@@ -27,7 +24,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from numpy.typing import ArrayLike
 
 from jaxcrumple.config import MaterialOptions, SolverOptions
-from jaxcrumple.io.atomic import write_bytes
+from jaxcrumple.figure import new_figure, save_figure
 from jaxcrumple.io.run import Run, load
 from jaxcrumple.measure import DAMAGE, damaged, mean_curvature
 from jaxcrumple.measure.creases import plastic_curvature
@@ -78,7 +75,7 @@ def plot_sheet(
     values = mean_curvature(mesh, x) if color is None else np.asarray(color, dtype=np.float64)
     label = CURVATURE_LABEL if color is None else label or ""
     scale = _color_scale(values, signed=color is None)
-    figure = _figure((7.2, 6.0), caption)
+    figure = new_figure((7.2, 6.0), caption)
     axes: Any = figure.add_subplot(projection="3d", proj_type="persp")
     corners = 1e3 * x[mesh.faces]
     colors = _shaded(scale.to_rgba(_on_faces(mesh, values)), corners)
@@ -87,7 +84,7 @@ def plot_sheet(
     for name in "xyz":
         getattr(axes, f"set_{name}label")(f"{name} [mm]", labelpad=8)
     figure.colorbar(scale, ax=axes, label=label, shrink=0.65, pad=0.1, extend="both")
-    return _save(figure, path)
+    return save_figure(figure, path)
 
 
 def plot_creases(
@@ -111,7 +108,7 @@ def plot_creases(
     curvature = mean_curvature(mesh, x)
     scale = _color_scale(curvature, signed=True)
     scale.set_cmap(PALE)
-    figure = _figure((7.2, 6.2), caption)
+    figure = new_figure((7.2, 6.2), caption)
     axes = figure.add_subplot(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
     sheet = Triangulation(flat[:, 0], flat[:, 1], mesh.faces)
     axes.tripcolor(sheet, curvature, shading="gouraud").set(cmap=scale.cmap, norm=scale.norm)
@@ -132,7 +129,7 @@ def plot_creases(
     )
     figure.colorbar(scale, ax=axes, label=CURVATURE_LABEL, extend="both")
     axes.autoscale_view()
-    return _save(figure, path)
+    return save_figure(figure, path)
 
 
 def plot_steps(
@@ -153,7 +150,7 @@ def plot_steps(
     steps = history[history["kind"] == STEP] if len(history) else history
     if len(steps) == 0:
         raise ValueError("the history has no steps to plot; run longer")
-    figure = _figure((8.0, 5.6), caption)
+    figure = new_figure((8.0, 5.6), caption)
     top, bottom = figure.subplots(2, 1, sharex=True)
     labels = ("step $h$ [s]", r"mean $a_{\max}/a_{\mathrm{ref}}$ [-]")
     for axes, column, label in zip((top, bottom), ("h", "acceleration_mean"), labels, strict=True):
@@ -172,7 +169,7 @@ def plot_steps(
         handles.append(Line2D([], [], color="black", linestyle="--", label="switching thresholds"))
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
     bottom.set_xlabel("time $t$ [s]")
-    return _save(figure, path)
+    return save_figure(figure, path)
 
 
 def plot_energies(history: pd.DataFrame, *, caption: str = "", path: str | Path) -> Path:
@@ -182,7 +179,7 @@ def plot_energies(history: pd.DataFrame, *, caption: str = "", path: str | Path)
     """
     if len(history) == 0:
         raise ValueError("the history has no rows to plot; run longer")
-    figure = _figure((8.0, 4.4), caption)
+    figure = new_figure((8.0, 4.4), caption)
     axes = figure.add_subplot(yscale="log", xlabel="time $t$ [s]", ylabel="energy [J]")
     largest = 0.0
     for name, color in ENERGY_COLORS.items():
@@ -196,7 +193,7 @@ def plot_energies(history: pd.DataFrame, *, caption: str = "", path: str | Path)
         axes.set_ylim(bottom=max(1e-9 * largest, axes.get_ylim()[0]), top=3 * largest)
         axes.legend(frameon=False, ncols=3)
     axes.grid(alpha=0.3)
-    return _save(figure, path)
+    return save_figure(figure, path)
 
 
 def plot_run(folder: str | Path) -> list[Path]:
@@ -237,23 +234,6 @@ def _thresholds(run: Run) -> list[float]:
     if np.isinf(unit):
         return []
     return [float(switch.down / unit), float(switch.up / unit)]
-
-
-def _figure(size: tuple[float, float], caption: str) -> Figure:
-    figure = Figure(figsize=size, layout="constrained")
-    FigureCanvasAgg(figure)
-    if caption:
-        figure.suptitle(caption, fontsize=10)
-    return figure
-
-
-def _save(figure: Figure, path: str | Path) -> Path:
-    """Write the picture, all or nothing."""
-    path = Path(path)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format=path.suffix[1:].lower() or "png", dpi=160)
-    write_bytes(path, buffer.getvalue())
-    return path
 
 
 def _color_scale(values: FloatArray, *, signed: bool) -> ScalarMappable:

@@ -51,9 +51,9 @@ def colors(path):
 def figure_of(monkeypatch):
     """Keep the figures that are saved, to look at their parts."""
     figures = []
-    original = plot._save
+    original = plot.save_figure
     monkeypatch.setattr(
-        plot, "_save", lambda figure, path: (figures.append(figure), original(figure, path))[1]
+        plot, "save_figure", lambda figure, path: (figures.append(figure), original(figure, path))[1]
     )
     return figures
 
