@@ -64,7 +64,8 @@ def plot_areas(areas: ArrayLike, *, bins: int = 8, caption: str = "", path: str 
     **Raises:** as `plot_facets`, and ValueError for areas that `fit_areas` refuses.
     """
     fit = fit_areas(areas)
-    xi = np.asarray(areas, dtype=np.float64) / np.mean(areas)
+    xi = np.asarray(areas, dtype=np.float64)
+    xi = xi / xi.mean()
     edges = np.geomspace(xi.min() * (1 - 1e-9), xi.max() * (1 + 1e-9), bins + 1)
     count, _ = np.histogram(xi, edges)
     middle, unit = np.sqrt(edges[1:] * edges[:-1]), len(xi) * np.diff(edges)

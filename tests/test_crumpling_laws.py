@@ -36,7 +36,7 @@ def test_maturity_solves_both_relations(mean):
 
 
 def fragmented(pieces, t_end, seed, sheets):
-    """Areas at t_end of the pieces of unit sheets that split at the rate sqrt(x), in Dirichlet proportions."""
+    """Areas at t_end of pieces of unit sheets that split at the rate sqrt(x) in Dirichlet proportions."""
     rng = np.random.default_rng(seed)
     area, t, done = np.ones(sheets), np.zeros(sheets), []
     while len(area):
@@ -50,11 +50,15 @@ def fragmented(pieces, t_end, seed, sheets):
 
 @pytest.mark.parametrize("pieces", [2, 3, 4])
 def test_law_is_what_a_process_of_its_rate_leaves(pieces):
-    """Splits into m = 1 + 2/a pieces at the rate sqrt(x): mean a (a + 1)/t^2 and P(a, t sqrt(x))."""
-    a, t, sheets = 2 / (pieces - 1), 60.0, 30
+    """Splits into m = 1 + 2/a pieces at the rate sqrt(x): mean a (a + 1)/t^2 and P(a, t sqrt(x)), t large.
+
+    Moments M_k = sum of x^k obey M_k' = ((a + 2)/(a + 2 k) - 1) M_{k + 1/2} with M_1 = 1, so that the number of
+    pieces is 1 + 2 t/a + t^2/(a (a + 1)).
+    """
+    a, t, sheets = 2 / (pieces - 1), 60.0, 60
     areas = fragmented(pieces, t, seed=pieces, sheets=sheets)
     assert areas.sum() == pytest.approx(sheets)
-    assert areas.mean() == pytest.approx(a * (a + 1) / t**2, rel=0.05)
+    assert len(areas) / sheets == pytest.approx(1 + 2 * t / a + t**2 / (a * (a + 1)), rel=0.05)
     assert kstest(areas / areas.mean(), measure.area_cdf, args=(a,)).statistic < 0.02
     for other in (0.6 * a, 1.6 * a):
         assert kstest(areas / areas.mean(), measure.area_cdf, args=(other,)).statistic > 0.04
