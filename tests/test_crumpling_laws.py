@@ -52,8 +52,8 @@ def fragmented(pieces, t_end, seed, sheets):
 def test_law_is_what_a_process_of_its_rate_leaves(pieces):
     """Splits into m = 1 + 2/a pieces at the rate sqrt(x): mean a (a + 1)/t^2 and P(a, t sqrt(x)), t large.
 
-    Moments M_k = sum of x^k obey M_k' = ((a + 2)/(a + 2 k) - 1) M_{k + 1/2} with M_1 = 1, so that the number of
-    pieces is 1 + 2 t/a + t^2/(a (a + 1)).
+    Moments M_k = sum of x^k obey M_k' = ((a + 2)/(a + 2 k) - 1) M_{k + 1/2} with M_1 = 1, so that the number
+    of pieces is 1 + 2 t/a + t^2/(a (a + 1)).
     """
     a, t, sheets = 2 / (pieces - 1), 60.0, 60
     areas = fragmented(pieces, t, seed=pieces, sheets=sheets)

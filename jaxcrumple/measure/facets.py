@@ -62,7 +62,8 @@ def segment_facets(
       plastic curvature in 1/m times its height, and a crease by the sum over the hinges across it, so that a
       finer mesh finds the same creases.
     - `width`: of a crease, in m, by default `ROWS` times $\\sqrt{A/n}$. Damage within it adds up to one
-      crease, and what holds no circle of this diameter is no facet.
+      crease, and what holds no circle of this diameter is no facet: it goes to a neighbour. From there on facets
+      are lost where the mesh is too coarse for them; give fine facets 100 triangles each, or more.
     - `closed`: part of the border of two facets, from 0 to 1, that is creased.
 
     **Raises:** ValueError if the sheet is not flat, `p` has another shape, or a parameter is out of range.
@@ -145,8 +146,10 @@ def _facets(mesh: Mesh, regions: NDArray) -> Facets:
 def _check(mesh: Mesh, fold: float, width: float, closed: float) -> None:
     if np.ptp(mesh.vertices[:, 2]) > _FLAT * np.sqrt(mesh.area):
         raise ValueError("the rest shape is not flat; facets are found on a sheet that lies in the x-y plane")
-    for name, value in (("fold", fold), ("width", width)):
-        if not 0 < value < np.inf:
-            raise ValueError(f"{name} = {value}; give a positive number")
+    if not 0 < fold < np.inf:
+        raise ValueError(f"fold = {fold} rad; give a positive angle")
+    if not 0.5 <= width * mesh.linear_density < np.inf:
+        least = 0.5 / mesh.linear_density
+        raise ValueError(f"width = {width} m; give at least half the distance of nodes, {least:.3g} m")
     if not 0 <= closed <= 1:
         raise ValueError(f"closed = {closed}; give a part of the border between 0 and 1")
