@@ -1,12 +1,13 @@
-"""Facets of patterns that are known, with noise, gaps, broad creases and faint damage, on meshes at random."""
+"""Facets of known patterns on random meshes, with noise, gaps, broad creases and faint damage."""
 
 import numpy as np
 import pytest
 from facet_patterns import adjusted_rand, damage, fragments, labels, lines, voronoi
+from matplotlib.tri import Triangulation
 
 from jaxcrumple import measure
 from jaxcrumple.mesh import Mesh
-from jaxcrumple.meshgen import disc, rectangle
+from jaxcrumple.meshgen import disc, hexagonal, rectangle
 
 SIZE = 0.1
 SIZES = (1000, 3000)
@@ -27,15 +28,16 @@ def test_adjusted_rand_index():
 
 
 @pytest.mark.parametrize("pattern", [voronoi, lines, fragments])
-@pytest.mark.parametrize(("n", "count"), [(1000, 6), (3000, 12)])
+@pytest.mark.parametrize(("n", "count"), [(1000, 4), (3000, 12)])
 def test_known_facets_are_found(meshes, pattern, n, count):
-    """At about 250 triangles for a facet, 15 % of the creases missing."""
-    mesh, known = meshes[n], pattern(count, 0, SIZE)
-    facets = measure.segment_facets(mesh, damage(mesh, known, seed=0))
-    truth = labels(mesh, known)
-    assert adjusted_rand(truth, facets.label, mesh.face_area) >= 0.95
-    large = np.bincount(truth, weights=mesh.face_area) > 10 * mesh.area / len(mesh.faces)
-    assert abs(len(facets.area) - large.sum()) <= 1
+    """At about 500 triangles for a facet, 15 % of the creases missing; tiny corners do not count."""
+    mesh = meshes[n]
+    for seed in range(3):
+        known = pattern(count, seed, SIZE)
+        truth = labels(mesh, known)
+        facets = measure.segment_facets(mesh, damage(mesh, known, seed))
+        assert adjusted_rand(truth, facets.label, mesh.face_area) >= 0.95
+        assert abs(len(facets.area) - np.sum(np.bincount(truth) > 25)) <= 1
 
 
 @pytest.mark.parametrize("pattern", [voronoi, fragments])
@@ -57,40 +59,59 @@ def test_areas_are_those_of_the_labels_and_sum_to_the_sheet(meshes):
     assert (np.diff(first) > 0).all() and len(first) == len(area)  # numbered by their first triangle
 
 
-@pytest.mark.parametrize("width", [None, 4e-3])
+@pytest.mark.parametrize("width", [None, 5e-3])
 @pytest.mark.parametrize("pattern", [voronoi, lines, fragments])
 def test_a_finer_mesh_finds_the_same_facets(meshes, pattern, width):
-    """Seen at the same points, whether creases are as wide as the mesh makes them or 4 mm."""
+    """Seen at the same points, whether creases are as wide as each mesh makes them or 5 mm.
+
+    The zig-zags of two meshes differ: the known facets themselves agree to 0.94 to 0.96 only. Away from
+    creases by the distance of the coarse mesh's nodes what is found agrees to 0.95, everywhere it agrees less
+    well than what is known by at most 0.03.
+    """
     known = pattern(6, 2, SIZE)
     points = np.stack(np.meshgrid(*2 * [np.linspace(-0.499, 0.499, 150) * SIZE]), axis=-1).reshape(-1, 2)
-    seen = []
+    area, seen, drawn = np.ones(len(points)), [], []
     for mesh in meshes.values():
-        facets = measure.segment_facets(mesh, damage(mesh, known, seed=2), width=width)
-        seen.append(facets.label[face_at(mesh, points)])
-    assert adjusted_rand(*seen, np.ones(len(points))) >= 0.95
-    assert abs(len(np.unique(seen[0])) - len(np.unique(seen[1]))) <= 1
-
-
-def face_at(mesh, points):
-    from matplotlib.tri import Triangulation
-
-    return Triangulation(*mesh.vertices[:, :2].T, mesh.faces).get_trifinder()(*points.T)
+        at = Triangulation(*mesh.vertices[:, :2].T, mesh.faces).get_trifinder()(*points.T)
+        seen.append(measure.segment_facets(mesh, damage(mesh, known, seed=2), width=width).label[at])
+        drawn.append(labels(mesh, known)[at])
+    around = [known(points + 3.2e-3 * np.array([np.cos(t), np.sin(t)])) for t in np.arange(0, 2 * np.pi, 0.5)]
+    inside = (np.array(around) == known(points)).all(axis=0)
+    assert adjusted_rand(*(label[inside] for label in seen), area[inside]) >= 0.95
+    assert adjusted_rand(*seen, area) >= adjusted_rand(*drawn, area) - 0.03
+    assert len(np.unique(seen[0])) == len(np.unique(seen[1]))
 
 
 def halves(mesh, angle, part=1.0):
     """A crease of fold `angle` in rad over the `part` of the sheet's height, along x = 0."""
     centre, top = mesh.vertices[mesh.faces].mean(axis=1), SIZE * (part - 0.5)
-    crossing = np.ptp((centre[:, 0] > 0)[mesh.hinge_faces], axis=1) > 0
+    left, right = (centre[:, 0] > 0)[mesh.hinge_faces].T
     low = mesh.vertices[mesh.hinges[:, :2], 1].mean(axis=1) < top
-    return 2 * np.sin(0.5 * angle) * (crossing & low)
+    return 2 * np.sin(0.5 * angle) * ((left != right) & low)
 
 
-def test_fold_and_closed_mean_what_they_say(meshes):
-    for mesh in meshes.values():
-        counted = lambda *a, mesh=mesh, **kw: len(measure.segment_facets(mesh, halves(mesh, *a), **kw).area)
-        assert counted(0.5, fold=0.4) == 2
-        assert counted(0.5, fold=0.8) == 1  # a zig-zag makes up to 1.3 times as much of an angle
-        assert counted(0.5, threshold=0.6) == 1
+@pytest.mark.parametrize("n", SIZES)
+def test_parameters_mean_what_they_say(meshes, n):
+    mesh = meshes[n]
+
+    def count(angle, part=1.0, **options):
+        return len(measure.segment_facets(mesh, halves(mesh, angle, part), **options).area)
+
+    assert count(0.5, fold=0.4) == 2
+    assert count(0.5, fold=0.8) == 1  # a zig-zag makes up to 1.3 times as much of an angle
+    assert count(0.5, threshold=0.6) == 1
+    assert [count(0.5, part) for part in (0.9, 0.7, 0.3)] == [2, 2, 1]
+    assert [count(0.5, 0.7, closed=closed) for closed in (0.6, 0.85)] == [2, 1]
+
+
+def test_rows_of_hinges_share_a_fold(meshes):
+    """A fold of 0.4 rad over three rows of a lattice is one crease of 0.3 rad, not of 0.5."""
+    mesh = hexagonal(31, 36, 3e-3)
+    rows = np.round(mesh.vertices[mesh.hinges[:, :2], 1] / (np.sqrt(3) / 2 * 3e-3)).astype(int)
+    straight = (rows[:, 0] == rows[:, 1]) & np.isin(rows[:, 0] - rows.min(), (17, 18, 19))
+    p = 2 * np.sin(0.4 / 3 / 2) * straight
+    found = [len(measure.segment_facets(mesh, p, fold=fold, width=9e-3).area) for fold in (0.3, 0.5)]
+    assert found == [2, 1]
 
 
 def test_a_sheet_without_creases_is_one_facet():
@@ -102,7 +123,7 @@ def test_a_sheet_without_creases_is_one_facet():
 
 
 def test_facets_finer_than_the_mesh_are_lost(meshes):
-    """The limit that the docstring states, here at 20 triangles for a facet."""
+    """The limit that the docstring states, at 20 triangles for a facet."""
     mesh, known = meshes[1000], voronoi(90, 0, SIZE)
     facets = measure.segment_facets(mesh, damage(mesh, known, seed=0))
     assert len(facets.area) < 80
