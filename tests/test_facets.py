@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from facet_patterns import adjusted_rand, damage, fragments, labels, lines, voronoi
 from matplotlib.tri import Triangulation
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from jaxcrumple import measure
 from jaxcrumple.mesh import Mesh
@@ -49,12 +51,16 @@ def test_clean_patterns_are_found_almost_to_the_triangle(meshes, pattern):
     assert len(facets.area) == 20
 
 
-def test_areas_are_those_of_the_labels_and_sum_to_the_sheet(meshes):
-    mesh, known = meshes[1000], voronoi(10, 3, SIZE)
-    label, area = measure.segment_facets(mesh, damage(mesh, known, seed=3))
+@pytest.mark.parametrize("seed", range(4))
+def test_facets_are_connected_and_their_areas_sum_to_the_sheet(meshes, seed):
+    mesh, known = meshes[1000], voronoi(20, seed, SIZE)
+    label, area = measure.segment_facets(mesh, damage(mesh, known, seed))
     assert label.shape == (len(mesh.faces),)
     assert area.sum() == pytest.approx(mesh.area, rel=1e-14)
     assert area == pytest.approx([mesh.face_area[label == k].sum() for k in range(len(area))])
+    joined = mesh.hinge_faces[np.equal(*label[mesh.hinge_faces].T)]
+    links = coo_array((np.ones(len(joined)), joined.T), shape=2 * (len(label),))
+    assert connected_components(links, directed=False)[0] == len(area)
     _, first = np.unique(label, return_index=True)
     assert (np.diff(first) > 0).all() and len(first) == len(area)  # numbered by their first triangle
 
@@ -66,7 +72,7 @@ def test_a_finer_mesh_finds_the_same_facets(meshes, pattern, width):
 
     The zig-zags of two meshes differ: the known facets themselves agree to 0.94 to 0.96 only. Away from
     creases by the distance of the coarse mesh's nodes what is found agrees to 0.95, everywhere it agrees less
-    well than what is known by at most 0.03.
+    well than what is known by at most 0.04.
     """
     known = pattern(6, 2, SIZE)
     points = np.stack(np.meshgrid(*2 * [np.linspace(-0.499, 0.499, 150) * SIZE]), axis=-1).reshape(-1, 2)
@@ -78,7 +84,7 @@ def test_a_finer_mesh_finds_the_same_facets(meshes, pattern, width):
     around = [known(points + 3.2e-3 * np.array([np.cos(t), np.sin(t)])) for t in np.arange(0, 2 * np.pi, 0.5)]
     inside = (np.array(around) == known(points)).all(axis=0)
     assert adjusted_rand(*(label[inside] for label in seen), area[inside]) >= 0.95
-    assert adjusted_rand(*seen, area) >= adjusted_rand(*drawn, area) - 0.03
+    assert adjusted_rand(*seen, area) >= adjusted_rand(*drawn, area) - 0.04
     assert len(np.unique(seen[0])) == len(np.unique(seen[1]))
 
 
@@ -120,6 +126,16 @@ def test_a_sheet_without_creases_is_one_facet():
         assert set(label) == {0}
         assert area == pytest.approx([mesh.area])
         assert len(measure.segment_facets(mesh, mesh.rest_curvature, width=1.0).area) == 1
+
+
+def test_an_imperfection_is_let_pass(meshes):
+    """Scenes start from sheets with bumps of some micrometres, which are the rest shape too."""
+    mesh, known = meshes[1000], voronoi(8, 0, SIZE)
+    p = damage(mesh, known, seed=0)
+    bumps = np.array([0, 0, 5e-5]) * np.sin(200 * mesh.vertices[:, :1])
+    bumpy = mesh.with_rest_shape(mesh.vertices + bumps)
+    found = measure.segment_facets(bumpy, bumpy.rest_curvature + p)
+    assert np.array_equal(found.label, measure.segment_facets(mesh, p).label)
 
 
 def test_facets_finer_than_the_mesh_are_lost(meshes):

@@ -15,10 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt, label
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.stats import mode
 from skimage.graph import RAG, merge_hierarchical
 from skimage.morphology import h_maxima
-from skimage.segmentation import watershed
+from skimage.segmentation import expand_labels, watershed
 
 from jaxcrumple.measure.creases import DAMAGE, damaged, plastic_curvature
 from jaxcrumple.measure.raster import Raster
@@ -32,13 +34,13 @@ CLOSED = 0.5
 ROWS = 1.5
 
 _PIXELS = 12  # to the width of a crease
-_FLAT = 1e-9  # largest height of a flat sheet over its size
+_FLAT = 0.9  # least area of a triangle seen along z over its own, so that imperfections are let pass
 
 
 class Facets(NamedTuple):
     """Facets, numbered by their first triangle."""
 
-    label: NDArray[np.intp]  # (f,) facet of each triangle, from 0
+    label: NDArray[np.intp]  # (f,) facet of each triangle, from 0; a facet is connected
     area: FloatArray  # (k,) rest area of each facet [m^2]; together that of the sheet
 
 
@@ -55,7 +57,7 @@ def segment_facets(
 
     **Arguments:**
 
-    - `mesh`: its rest shape lies in a plane z = constant.
+    - `mesh`: its rest shape lies in the x-y plane, but for an imperfection.
     - `threshold`: hinges are damaged if their dimensionless rest curvature moved by more, as in
       `crease_length`.
     - `fold`: least plastic fold angle of a crease, in rad. A hinge folds by $2 \\arcsin(|p|/2)$ (eq. 33), its
@@ -77,7 +79,9 @@ def segment_facets(
     angle = np.where(damaged(mesh, p, threshold), _hinge_fold(mesh, p), 0.0)
     creased = _fold_across(mesh, angle, raster, 0.5 * width) >= fold
     regions = _regions(mesh, raster, np.where(creased, angle, 0.0), width)
-    return _facets(mesh, _merged(mesh, regions, creased, closed))
+    pieces, stray = _pieces(mesh, regions)
+    apart = creased & ~stray[mesh.hinge_faces].any(axis=1)
+    return _facets(mesh, _merged(mesh, pieces, apart, closed))
 
 
 def _hinge_fold(mesh: Mesh, p: ArrayLike) -> FloatArray:
@@ -107,10 +111,26 @@ def _regions(mesh: Mesh, raster: Raster, angle: FloatArray, width: float) -> NDA
     rows, columns, line = raster.lines(mesh.vertices[mesh.hinges[crease, :2], :2])
     ridge = np.zeros(raster.shape)
     np.maximum.at(ridge, (rows, columns), angle[crease][line])
-    distance = distance_transform_edt(raster.inside(mesh) & (ridge == 0)) * raster.pixel
+    inside = raster.inside(mesh)
+    distance = distance_transform_edt(inside & (ridge == 0)) * raster.pixel
     tops, _ = label(h_maxima(distance, 0.5 * width))
-    image = watershed(np.where(ridge > 0, ridge, -distance), tops)
+    image = watershed(np.where(ridge > 0, ridge, -distance), tops, mask=inside)
+    image = expand_labels(image, distance=2)  # over the pixels that the sheet's rim cuts
     return mode(raster.on_faces(mesh, image), axis=1).mode
+
+
+def _pieces(mesh: Mesh, regions: NDArray) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Connected pieces (f,) of the regions (f,), and which triangles (f,) the largest of a region leaves out.
+
+    These are few, where the pixels of a triangle vote for a region that lies beyond its neighbours.
+    """
+    sides = mesh.hinge_faces[regions[mesh.hinge_faces[:, 0]] == regions[mesh.hinge_faces[:, 1]]]
+    links = coo_array((np.ones(len(sides)), sides.T), shape=(len(regions), len(regions)))
+    _, piece = connected_components(links, directed=False)
+    order = np.argsort(np.bincount(piece)[piece], kind="stable")
+    largest = np.zeros(regions.max() + 1, dtype=piece.dtype)
+    largest[regions[order]] = piece[order]  # the last one stays
+    return piece, piece != largest[regions]
 
 
 def _merged(mesh: Mesh, regions: NDArray, creased: NDArray[np.bool_], closed: float) -> NDArray[np.intp]:
@@ -147,7 +167,9 @@ def _facets(mesh: Mesh, regions: NDArray) -> Facets:
 
 
 def _check(mesh: Mesh, fold: float, width: float, closed: float) -> None:
-    if np.ptp(mesh.vertices[:, 2]) > _FLAT * np.sqrt(mesh.area):
+    e1, e2 = (mesh.vertices[mesh.faces[:, k], :2] - mesh.vertices[mesh.faces[:, 0], :2] for k in (1, 2))
+    shadow = np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]) / 2
+    if np.any(shadow < _FLAT * mesh.face_area):
         raise ValueError("the rest shape is not flat; facets are found on a sheet that lies in the x-y plane")
     if not 0 < fold < np.inf:
         raise ValueError(f"fold = {fold} rad; give a positive angle")
