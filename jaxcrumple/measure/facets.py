@@ -13,14 +13,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import skimage as ski  # which loads its parts when they are first used
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt, label
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.stats import mode
-from skimage.graph import RAG, merge_hierarchical
-from skimage.morphology import h_maxima
-from skimage.segmentation import expand_labels, watershed
 
 from jaxcrumple.measure.creases import DAMAGE, damaged, plastic_curvature
 from jaxcrumple.measure.raster import Raster
@@ -79,9 +77,8 @@ def segment_facets(
     angle = np.where(damaged(mesh, p, threshold), _hinge_fold(mesh, p), 0.0)
     creased = _fold_across(mesh, angle, raster, 0.5 * width) >= fold
     regions = _regions(mesh, raster, np.where(creased, angle, 0.0), width)
-    pieces, stray = _pieces(mesh, regions)
-    apart = creased & ~stray[mesh.hinge_faces].any(axis=1)
-    return _facets(mesh, _merged(mesh, pieces, apart, closed))
+    regions = _connected(mesh, regions, angle)
+    return _facets(mesh, _merged(mesh, regions, creased, closed))
 
 
 def _hinge_fold(mesh: Mesh, p: ArrayLike) -> FloatArray:
@@ -113,29 +110,42 @@ def _regions(mesh: Mesh, raster: Raster, angle: FloatArray, width: float) -> NDA
     np.maximum.at(ridge, (rows, columns), angle[crease][line])
     inside = raster.inside(mesh)
     distance = distance_transform_edt(inside & (ridge == 0)) * raster.pixel
-    tops, _ = label(h_maxima(distance, 0.5 * width))
-    image = watershed(np.where(ridge > 0, ridge, -distance), tops, mask=inside)
-    image = expand_labels(image, distance=2)  # over the pixels that the sheet's rim cuts
+    tops, _ = label(ski.morphology.h_maxima(distance, 0.5 * width))
+    image = ski.segmentation.watershed(np.where(ridge > 0, ridge, -distance), tops, mask=inside)
+    image = ski.segmentation.expand_labels(image, distance=2)  # over the pixels that the sheet's rim cuts
     return mode(raster.on_faces(mesh, image), axis=1).mode
 
 
-def _pieces(mesh: Mesh, regions: NDArray) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Connected pieces (f,) of the regions (f,), and which triangles (f,) the largest of a region leaves out.
+def _connected(mesh: Mesh, regions: NDArray[np.intp], angle: FloatArray) -> NDArray[np.intp]:
+    """Regions (f,), each without the triangles that its largest connected piece leaves out.
 
-    These are few, where the pixels of a triangle vote for a region that lies beyond its neighbours.
+    These are few, where the pixels of a triangle vote for a region beyond its neighbours. They go to the
+    neighbour over the hinge of least `angle` (h,).
     """
-    sides = mesh.hinge_faces[regions[mesh.hinge_faces[:, 0]] == regions[mesh.hinge_faces[:, 1]]]
+    regions, stray = regions.copy(), _strays(mesh, regions)
+    while stray.any():
+        rim = np.flatnonzero(stray[mesh.hinge_faces[:, 0]] != stray[mesh.hinge_faces[:, 1]])
+        sides = mesh.hinge_faces[rim[np.argsort(-angle[rim])]]
+        sides = np.where(stray[sides[:, :1]], sides, sides[:, ::-1])
+        regions[sides[:, 0]] = regions[sides[:, 1]]  # where a triangle has several, the last one stays
+        stray[sides[:, 0]] = False
+    return regions
+
+
+def _strays(mesh: Mesh, regions: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Which triangles (f,) are not in the largest connected piece of their region."""
+    sides = mesh.hinge_faces[np.equal(*regions[mesh.hinge_faces].T)]
     links = coo_array((np.ones(len(sides)), sides.T), shape=(len(regions), len(regions)))
     _, piece = connected_components(links, directed=False)
     order = np.argsort(np.bincount(piece)[piece], kind="stable")
     largest = np.zeros(regions.max() + 1, dtype=piece.dtype)
     largest[regions[order]] = piece[order]  # the last one stays
-    return piece, piece != largest[regions]
+    return piece != largest[regions]
 
 
 def _merged(mesh: Mesh, regions: NDArray, creased: NDArray[np.bool_], closed: float) -> NDArray[np.intp]:
     """Regions (f,) joined until all borders are `creased` (h,) over the part `closed` of their length."""
-    graph = RAG()
+    graph = ski.graph.RAG()
     graph.add_nodes_from((int(r), {"labels": [int(r)]}) for r in np.unique(regions))
     sides = np.sort(regions[mesh.hinge_faces], axis=1)
     for h in np.flatnonzero(sides[:, 0] != sides[:, 1]):
@@ -143,14 +153,14 @@ def _merged(mesh: Mesh, regions: NDArray, creased: NDArray[np.bool_], closed: fl
         hinge = {"length": mesh.hinge_length[h], "creased": mesh.hinge_length[h] * creased[h]}
         graph.add_edge(a, b, **_border([graph[a][b], hinge] if graph.has_edge(a, b) else [hinge]))
     options = {"rag_copy": False, "in_place_merge": True, "merge_func": _nothing, "weight_func": _joined}
-    return merge_hierarchical(regions, graph, closed, **options)
+    return ski.graph.merge_hierarchical(regions, graph, closed, **options)
 
 
-def _nothing(graph: RAG, a: int, b: int) -> None:
+def _nothing(graph: ski.graph.RAG, a: int, b: int) -> None:
     """Regions have no properties of their own that change as two become one."""
 
 
-def _joined(graph: RAG, a: int, b: int, other: int) -> dict[str, float]:
+def _joined(graph: ski.graph.RAG, a: int, b: int, other: int) -> dict[str, float]:
     """Border to `other` of the union of the regions `a` and `b`."""
     return _border([graph[k][other] for k in (a, b) if graph.has_edge(k, other)])
 

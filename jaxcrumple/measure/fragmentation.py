@@ -93,7 +93,7 @@ def fit_areas(areas: ArrayLike) -> AreaFit:
         mean=mean,
         a=a,
         t=t,
-        fragmentation=kstest(xi, area_cdf, args=(a,)).statistic,
-        exponential=kstest(xi, expon.cdf).statistic,
-        lognormal=kstest(xi, lognorm(logs.std(), scale=np.exp(logs.mean())).cdf).statistic,
+        fragmentation=float(kstest(xi, area_cdf, args=(a,)).statistic),
+        exponential=float(kstest(xi, expon.cdf).statistic),
+        lognormal=float(kstest(xi, lognorm(logs.std(), scale=np.exp(logs.mean())).cdf).statistic),
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
@@ -35,6 +34,8 @@ class Raster(NamedTuple):
 
     def inside(self, mesh: Mesh) -> NDArray[np.bool_]:
         """Which pixels (rows, columns) have their centre on the sheet."""
+        from matplotlib.tri import Triangulation  # here, so that runs need not wait for matplotlib
+
         x, y = mesh.vertices[:, :2].T
         rows, columns = np.indices(self.shape)
         at = self.origin[0] + self.pixel * columns, self.origin[1] + self.pixel * rows
