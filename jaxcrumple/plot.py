@@ -7,7 +7,6 @@ display.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,11 +14,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgba_array
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
@@ -27,7 +24,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from numpy.typing import ArrayLike
 
 from jaxcrumple.config import MaterialOptions, SolverOptions
-from jaxcrumple.io.atomic import write_bytes
+from jaxcrumple.figure import new_figure, save_figure
 from jaxcrumple.io.run import Run, load
 from jaxcrumple.measure import DAMAGE, crease_pattern, mean_curvature, mountain_valley_length
 from jaxcrumple.measure.strain import positions
@@ -247,24 +244,6 @@ def _thresholds(run: Run) -> list[float]:
     if np.isinf(unit):
         return []
     return [float(switch.down / unit), float(switch.up / unit)]
-
-
-def new_figure(size: tuple[float, float], caption: str) -> Figure:
-    """A figure of `size` in inches with a caption above."""
-    figure = Figure(figsize=size, layout="constrained")
-    FigureCanvasAgg(figure)
-    if caption:
-        figure.suptitle(caption, fontsize=10)
-    return figure
-
-
-def save_figure(figure: Figure, path: str | Path) -> Path:
-    """Write the picture, all or nothing."""
-    path = Path(path)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format=path.suffix[1:].lower() or "png", dpi=160)
-    write_bytes(path, buffer.getvalue())
-    return path
 
 
 def color_scale(values: FloatArray, *, signed: bool) -> ScalarMappable:

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.collections import LineCollection, PolyCollection
 from numpy.typing import ArrayLike
 
+from jaxcrumple.figure import new_figure, save_figure
 from jaxcrumple.measure import (
     Distribution,
     VolumeFraction,
@@ -20,7 +21,6 @@ from jaxcrumple.measure import (
     thick_section,
 )
 from jaxcrumple.mesh import Mesh
-from jaxcrumple.plot import new_figure, save_figure
 
 SHEET = "#1f3b5c"
 

@@ -13,9 +13,9 @@ import numpy as np
 import pandas as pd
 
 from jaxcrumple.config import MaterialOptions, RunConfig, configure
+from jaxcrumple.figure import new_figure, save_figure
 from jaxcrumple.figures.base import Figure, Runs, save_table
 from jaxcrumple.io import Run
-from jaxcrumple.plot import new_figure, save_figure
 from jaxcrumple.scenes.fold import TIMES, fold_angle
 
 # Gap in m, the same for all meshes, and yield curvatures in 1/m.

@@ -7,10 +7,10 @@ import pandas as pd
 import scipy.sparse as sparse
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from jaxcrumple.figure import new_figure, save_figure
 from jaxcrumple.figures.base import Figure, Runs, save_table
 from jaxcrumple.mesh import Mesh
 from jaxcrumple.meshgen import rectangle
-from jaxcrumple.plot import new_figure, save_figure
 
 NODES, SIZE = 3000, 0.1
 # Half sizes of the diagonal blocks of (c), and of the middle part of the pattern in (b).

@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from jaxcrumple.figure import new_figure, save_figure
 from jaxcrumple.io import Run
 from jaxcrumple.measure import crease_length, mean_curvature
-from jaxcrumple.plot import CURVATURE_LABEL, color_scale, draw_flat, draw_sheet, new_figure, save_figure
+from jaxcrumple.plot import CURVATURE_LABEL, color_scale, draw_flat, draw_sheet
 
 
 class Moment(NamedTuple):

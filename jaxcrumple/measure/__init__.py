@@ -1,4 +1,4 @@
-"""Numbers and maps of a deformed sheet: strain, creases, energy, volume, stacking. NumPy on the host."""
+"""Numbers and maps of a deformed sheet: strain, creases, facets, energy, volume, stacking. On the host."""
 
 from jaxcrumple.measure.avalanches import avalanches, power_law_exponent
 from jaxcrumple.measure.confinement import wall_force
@@ -16,6 +16,9 @@ from jaxcrumple.measure.creases import (
 )
 from jaxcrumple.measure.density import face_bending_density, face_plastic_curvature, face_stretch_density
 from jaxcrumple.measure.distributions import Distribution, curvature_distribution, fold_angle_distribution
+from jaxcrumple.measure.facets import Facets, segment_facets
+from jaxcrumple.measure.fragmentation import AreaFit, area_cdf, area_density, fit_areas, maturity
+from jaxcrumple.measure.growth import fit_growth
 from jaxcrumple.measure.intersections import count_intersections
 from jaxcrumple.measure.layers import chord_layers, radial_alignment, stacked_layers
 from jaxcrumple.measure.localization import localization, participation_ratio
@@ -26,9 +29,13 @@ from jaxcrumple.measure.volume import VolumeFraction, volume_fraction
 
 __all__ = [
     "DAMAGE",
+    "AreaFit",
     "Distribution",
+    "Facets",
     "Section",
     "VolumeFraction",
+    "area_cdf",
+    "area_density",
     "avalanches",
     "center_of_mass",
     "chord_layers",
@@ -42,11 +49,14 @@ __all__ = [
     "face_bending_density",
     "face_plastic_curvature",
     "face_stretch_density",
+    "fit_areas",
+    "fit_growth",
     "fold_angle_distribution",
     "folded_hinges",
     "hinge_angles",
     "hinge_curvature",
     "localization",
+    "maturity",
     "max_strain",
     "mean_curvature",
     "mountain_valley_length",
@@ -56,6 +66,7 @@ __all__ = [
     "radial_alignment",
     "radial_profile",
     "rms_strain",
+    "segment_facets",
     "shell_areas",
     "stacked_layers",
     "thick_section",

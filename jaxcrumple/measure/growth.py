@@ -1,0 +1,99 @@
+"""Growth of the crease length of a sheet that is crumpled again and again: which law does it follow?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+
+from jaxcrumple.mesh import FloatArray
+
+#: Laws of growth with two constants each, as functions of the cycle n, c1 and c2.
+LAWS: dict[str, Callable[[FloatArray, float, float], FloatArray]] = {
+    "logarithmic": lambda n, c1, c2: c1 * np.log1p(c2 * n),
+    "linear": lambda n, c1, c2: c1 + c2 * n,
+    "power": lambda n, c1, c2: c1 * n**c2,
+}
+
+_CONSTANTS = 2
+_DECADES = 6  # c2 of the logarithm is sought this far from one over the number of cycles
+_STEEPEST = 10.0  # largest exponent of the power law
+
+
+def fit_growth(cycle: ArrayLike, length: ArrayLike) -> pd.DataFrame:
+    """Least-squares fits of three laws to the crease `length` (m,) in m after each `cycle` (m,), from 1.
+
+    "logarithmic", $c_1 \\ln(1 + c_2 n)$ (Gottesman et al., Communications Physics 1 (2018) 70), "linear",
+    $c_1 + c_2 n$, and "power", $c_1 n^{c_2}$.
+
+    **Returns:** a row for each law, the best first, with `c1`, `c2`, the residual sum of squares `rss` in
+    m2, and `aicc`, Akaike's information criterion for few points, $m \\ln(rss/m) + 2k + 2k(k+1)/(m-k-1)$
+    with k = 3, two constants and the variance (Hurvich & Tsai, Biometrika 76 (1989) 297). It is NaN for m <
+    5, where it is not defined; as all laws have two constants, its order is that of `rss` anyway. Of lengths
+    on a line through zero only the product of the logarithm's c1 and c2 means something: c2 goes to its
+    lower limit.
+
+    **Raises:** ValueError for fewer than three different cycles (two constants fit two points by any law),
+    cycles below 1, lengths that are not positive, or shapes that differ.
+    """
+    n, y = _checked(cycle, length)
+    rows = {"logarithmic": _logarithmic(n, y), "linear": _linear(n, y), "power": _power(n, y)}
+    table = pd.DataFrame.from_dict(rows, orient="index", columns=["c1", "c2"])
+    table.index.name = "law"
+    table["rss"] = [float(np.sum((LAWS[law](n, c1, c2) - y) ** 2)) for law, (c1, c2) in rows.items()]
+    table["aicc"] = [_aicc(rss, y) for rss in table["rss"]]
+    return table.sort_values("rss")
+
+
+def _logarithmic(n: FloatArray, y: FloatArray) -> tuple[float, float]:
+    limit = _DECADES * np.log(10.0)
+    c1, q = _separable(n, y, lambda q: np.log1p(np.exp(q) * n / n.max()), (-limit, limit))
+    return c1, float(np.exp(q) / n.max())
+
+
+def _linear(n: FloatArray, y: FloatArray) -> tuple[float, float]:
+    slope, start = np.polyfit(n, y, 1)
+    return float(start), float(slope)
+
+
+def _power(n: FloatArray, y: FloatArray) -> tuple[float, float]:
+    return _separable(n, y, lambda q: n**q, (-_STEEPEST, _STEEPEST))
+
+
+def _separable(
+    n: FloatArray, y: FloatArray, basis: Callable[[float], FloatArray], bounds: tuple[float, float]
+) -> tuple[float, float]:
+    """c and q of least squares of `c * basis(q) - y`, c eliminated (variable projection)."""
+
+    def factor(q: float) -> float:
+        return float(basis(q) @ y / (basis(q) @ basis(q)))
+
+    def residual(q: FloatArray) -> FloatArray:
+        return (factor(q[0]) * basis(q[0]) - y) / np.linalg.norm(y)
+
+    starts = np.linspace(*bounds, 9)[1:-1]
+    fits = [least_squares(residual, [q], bounds=bounds, xtol=1e-14, ftol=1e-14, gtol=1e-14) for q in starts]
+    q = float(min(fits, key=lambda fit: fit.cost).x[0])
+    return factor(q), q
+
+
+def _aicc(rss: float, y: FloatArray) -> float:
+    m, k = len(y), _CONSTANTS + 1
+    if m <= k + 1:
+        return float("nan")
+    variance = max(rss / m, (np.finfo(float).eps * np.abs(y).max()) ** 2)  # a perfect fit is one to rounding
+    return float(m * np.log(variance) + 2 * k + 2 * k * (k + 1) / (m - k - 1))
+
+
+def _checked(cycle: ArrayLike, length: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    n, y = np.asarray(cycle, dtype=np.float64), np.asarray(length, dtype=np.float64)
+    if n.ndim != 1 or n.shape != y.shape:
+        raise ValueError(f"cycle has shape {n.shape}, length {y.shape}; give one length for each cycle")
+    if len(np.unique(n)) < _CONSTANTS + 1:
+        raise ValueError(f"{len(np.unique(n))} different cycles; give three or more, laws have two constants")
+    if not np.all((n >= 1) & np.isfinite(n)) or not np.all((y > 0) & np.isfinite(y)):
+        raise ValueError("cycles count from 1 and lengths are positive; leave out the new sheet, n = 0")
+    return n, y

@@ -1,0 +1,79 @@
+"""A flat sheet as an image, on which the algorithms of image analysis work."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from jaxcrumple.mesh import FloatArray, Mesh
+
+_SUBDIVISION = 4  # a triangle is seen at the centres of its 4 x 4 parts
+
+
+class Raster(NamedTuple):
+    """Square pixels over the x-y plane; row i and column j are at `origin + pixel * (j, i)`."""
+
+    origin: FloatArray  # (2,) x, y of the first pixel [m]
+    pixel: float  # side of a pixel [m]
+    shape: tuple[int, int]  # rows, columns
+
+    @classmethod
+    def over(cls, mesh: Mesh, pixel: float) -> Raster:
+        """Pixels of side `pixel` in m over the sheet, with a margin of at least one."""
+        low, high = mesh.vertices[:, :2].min(axis=0), mesh.vertices[:, :2].max(axis=0)
+        columns, rows = np.ceil((high - low) / pixel).astype(int) + 3
+        return cls(low - pixel, pixel, (rows, columns))
+
+    def pixels(self, points: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Rows and columns (...) of the pixels nearest to `points` (..., 2) in m."""
+        columns, rows = np.moveaxis(np.rint((points - self.origin) / self.pixel).astype(int), -1, 0)
+        return rows, columns
+
+    def inside(self, mesh: Mesh) -> NDArray[np.bool_]:
+        """Which pixels (rows, columns) have their centre on the sheet."""
+        from matplotlib.tri import Triangulation  # here, so that runs need not wait for matplotlib
+
+        x, y = mesh.vertices[:, :2].T
+        rows, columns = np.indices(self.shape)
+        at = self.origin[0] + self.pixel * columns, self.origin[1] + self.pixel * rows
+        return np.asarray(Triangulation(x, y, mesh.faces).get_trifinder()(*at)) >= 0
+
+    def lines(self, ends: FloatArray) -> tuple[NDArray, NDArray, NDArray]:
+        """Points along straight lines between `ends` (m, 2, 2), less than a pixel apart.
+
+        **Returns:** their rows, columns, and the line that each belongs to.
+        """
+        longest = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).max(initial=0.0)
+        count = int(np.ceil(2 * longest / self.pixel)) + 1
+        s = (np.arange(count) + 0.5)[:, None] / count
+        rows, columns = self.pixels(ends[:, None, 0] * (1 - s) + ends[:, None, 1] * s)
+        return rows.ravel(), columns.ravel(), np.repeat(np.arange(len(ends)), count)
+
+    def density(self, ends: FloatArray, amount: FloatArray, sigma: float) -> FloatArray:
+        """Amounts (m,) spread evenly along lines (m, 2, 2) and by a Gaussian of width `sigma` in m across.
+
+        **Returns:** amount per area (rows, columns), in the unit of `amount` over m2.
+        """
+        rows, columns, line = self.lines(ends)
+        points = np.bincount(line, minlength=len(ends))
+        image = np.zeros(self.shape)
+        np.add.at(image, (rows, columns), (amount / points)[line])
+        return gaussian_filter(image, sigma / self.pixel, mode="constant") / self.pixel**2
+
+    def on_faces(self, mesh: Mesh, image: NDArray) -> NDArray:
+        """Values (f, m) of `image` at m points spread evenly over each triangle."""
+        corners = mesh.vertices[mesh.faces][..., :2]
+        return image[self.pixels(np.einsum("mc,fcd->fmd", _barycentres(_SUBDIVISION), corners))]
+
+
+def _barycentres(n: int) -> FloatArray:
+    """Barycentric coordinates (n^2, 3) of the centres of the equal triangles that tile a triangle."""
+    i, j = np.indices((n, n)).reshape(2, -1)
+    up, down = i + j < n, i + j < n - 1
+    first = np.stack([i[up] + 1 / 3, j[up] + 1 / 3], axis=1)
+    second = np.stack([i[down] + 2 / 3, j[down] + 2 / 3], axis=1)
+    uv = np.concatenate([first, second]) / n
+    return np.column_stack([uv, 1 - uv.sum(axis=1)])
