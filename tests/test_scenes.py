@@ -127,6 +127,8 @@ def test_what_is_pulled_through_a_hole_has_passed_it():
         (jc.unload, {"least": 0.08}, "must be less than the radius"),
         (jc.stamping, {"die": 0.05}, "has no room for a disc of 0.05 m; choose at least 0.05055"),
         (jc.stamping, {"gap": 1e-4}, "gap = 0.0001 m must be more than twice"),
+        (jc.stamping, {"gap": 0.04}, "less than the depth of the die under the disc, 0.0354"),
+        (jc.shell, {"gap": 0.02}, "less than the height of the shell, 0.0197"),
         (jc.shell, {"curvature_radius": 0.02}, "more than half of a ball; choose at least 0.0318"),
         (jc.conical, {"opening": 0.004}, "does not pass a hole"),
         (jc.conical, {"opening": 0.049}, "lets the disc of 0.05 m fall through"),

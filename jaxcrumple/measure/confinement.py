@@ -10,6 +10,6 @@ from jaxcrumple.model.confinement import Wall
 
 
 def wall_force(wall: Wall, x: ArrayLike, t: float) -> float:
-    """Total force in N with which the sheet at positions `x` (n, 3) in m presses on a wall at time `t`, along its
-    normals: for a sphere that shrinks, $F(R) = -dU/dR$, and pressure times its area."""
+    """Total force in N with which the sheet at positions `x` (n, 3) in m presses on a wall at time `t`,
+    along its normals: for a sphere that shrinks $F(R) = -dU/dR$, its pressure times its area."""
     return float(np.linalg.norm(np.asarray(wall.force(jnp.asarray(x), jnp.asarray(t))), axis=1).sum())

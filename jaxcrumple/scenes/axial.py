@@ -65,7 +65,7 @@ def cylindrical(
     size.
     """
     times = AxialTimes(roll, compress)
-    return _setup(nodes, seed, 1, size, radius, height, size, times, SheetOptions(**options))
+    return _setup(nodes, seed, None, size, radius, height, size, times, SheetOptions(**options))
 
 
 def axial(
@@ -104,7 +104,7 @@ def axial(
 def _setup(
     nodes: int,
     seed: int,
-    cycles: int,
+    cycles: int | None,
     size: float,
     radius: float,
     height: float,
@@ -112,6 +112,7 @@ def _setup(
     times: AxialTimes,
     sheet: SheetOptions,
 ) -> Setup:
+    """The scene of so many cycles, or, for None, of a first one that ends when the sheet is compressed."""
     check_positive(size=size, radius=radius, height=height, gap=gap, **times._asdict())
     if height >= size:
         raise ValueError(f"height = {height} m must be less than the size {size} m of the sheet.")
@@ -120,6 +121,8 @@ def _setup(
     mesh = sheet.square(size, nodes, seed)
     x = upright(mesh.vertices)
     wide = 0.5 * size + sheet.clearance + sheet.imperfection
+    if cycles is None:
+        return sheet.setup(mesh, _walls(wide, radius, height, 0.5 * gap, times.ends(1)[:, :2]), x=x)
     walls = _walls(wide, radius, height, 0.5 * gap, times.ends(cycles))
     return sheet.setup(mesh, walls, x=x, extra=[_pull(mesh, x, times, cycles)])
 
@@ -128,14 +131,13 @@ def _walls(wide: float, radius: float, height: float, thin: float, ends: FloatAr
     """The cylinder, the two planes that compress along z, and the two that flatten along y.
 
     All are `wide` open, except as they close: to `radius`, `height`, and twice `thin` in m; `ends` (cycles,
-    6) in s are those of the parts of each cycle.
+    6) in s are those of the parts of each cycle, or of the first ones.
     """
-    moments, round_, tall, deep = [0.0], [wide], [wide], [wide]
-    for roll, compress, open_, unfold, flatten, rest in ends:
-        moments += [roll, compress, open_, unfold, flatten, rest]
-        round_ += [radius, radius, wide, wide, wide, wide]
-        tall += [wide, 0.5 * height, wide, wide, wide, wide]
-        deep += [wide, wide, wide, wide, thin, wide]
+    cycles, parts = ends.shape
+    moments = [0.0, *ends.ravel()]
+    round_ = [wide] + cycles * [radius, radius, wide, wide, wide, wide][:parts]
+    tall = [wide] + cycles * [wide, 0.5 * height, wide, wide, wide, wide][:parts]
+    deep = [wide] + cycles * [wide, wide, wide, wide, thin, wide][:parts]
     along, across = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.0, 1.0, 0.0])
     walls: list[AbstractShape] = [Cylinder(jnp.zeros(3), along, _corners(moments, round_))]
     for normal, half in ((along, tall), (across, deep)):

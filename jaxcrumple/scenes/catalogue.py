@@ -20,6 +20,8 @@ from jaxcrumple.scenes.ridge import ridge
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.stamping import shell, shell_time, stamping, stamping_time
 
+# Least time in s at which a scene ends by default.
+SOONEST = 1e-3
 # Options by name, and what is known of them.
 Given = Mapping[str, Any]
 OfOptions = Callable[[Given], float]
@@ -63,8 +65,8 @@ def _way_back(given: Given) -> float:
 
 
 def _of(function: Callable[..., float], *names: str) -> OfOptions:
-    """A function of some of the options."""
-    return lambda given: function(*(given[name] for name in names))
+    """A time, as a function of some of the options; what is none is left for the scene to refuse."""
+    return lambda given: max(function(*(given[name] for name in names)), SOONEST)
 
 
 def _sum(names: Sequence[str]) -> OfOptions:

@@ -66,7 +66,8 @@ def free_sector(setup: Setup, x: FloatArray, t: float) -> float:
 
     A line of heights over the cone as a share of the distance from the middle, against the angle around it,
     leaves zero as the cube of the angle at both ends of the sector, for the force there is concentrated; the
-    ends are fitted, since any threshold of the height would miss them by its cube root.
+    ends are fitted, with the next power of the angle, since any threshold of the height would miss them by
+    its cube root.
     """
     flat = np.linalg.norm(setup.mesh.vertices[:, :2], axis=1)
     share = flat / flat.max()
@@ -84,8 +85,10 @@ def _end(angle: FloatArray, lifted: FloatArray) -> float:
     used = (angle > 0) & (lifted < 0.3 * lifted.max())
 
     def misfit(guess: FloatArray) -> FloatArray:
-        end, steep, floor = guess
-        return steep * np.maximum(end - angle[used], 0.0) ** 3 + floor - lifted[used]
+        end, steep, bend, floor = guess
+        inside = np.maximum(end - angle[used], 0.0)
+        return inside**3 * (steep + bend * inside) + floor - lifted[used]
 
-    found = least_squares(misfit, [1.2, lifted.max(), 0.0], x_scale=[1.0, lifted.max(), lifted.max()])
+    size = lifted.max()
+    found = least_squares(misfit, [1.2, size, 0.0, 0.0], x_scale=[1.0, size, size, size])
     return float(found.x[0])

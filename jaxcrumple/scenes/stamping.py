@@ -44,21 +44,25 @@ def stamping(
     rim, least = radius + 2.0 * sheet.clearance, 2.0 * sheet.thickness
     if die < rim:
         raise ValueError(f"die = {die} m has no room for a disc of {radius} m; choose at least {rim:.4g} m.")
-    if not least < gap < die:
-        raise ValueError(f"gap = {gap} m must be more than twice the thickness, {least:.3g} m, and less than "
-                         f"the die, {die} m.")  # fmt: skip
+    deepest = die - math.sqrt(die**2 - radius**2)
+    if not least < gap < deepest:
+        raise ValueError(
+            f"gap = {gap} m must be more than twice the thickness, {least:.3g} m, and less than the depth of "
+            f"the die under the disc, {deepest:.3g} m."
+        )
     mesh = sheet.disc(radius, nodes, seed)
     depth = math.sqrt(die**2 - rim**2)
     x = mesh.vertices - np.array([0.0, 0.0, depth])
     ball = die - gap
     start = ball - depth + sheet.clearance + sheet.imperfection
-    way = Corners(jnp.array([0.0, start / speed]), jnp.array([start, 0.0]))
+    time = stamping_time(die, radius, gap, speed)
+    way = Corners(jnp.array([0.0, time]), jnp.array([start, 0.0]))
     walls = [Sphere(jnp.zeros(3), of_time(die)), Ball(jnp.zeros(3), UP, as_float(ball), way)]
     return sheet.setup(mesh, walls, x=x)
 
 
 def stamping_time(die: float, radius: float, gap: float, speed: float) -> float:
-    """Time in s after which the ball is at the bottom, for a thin sheet."""
+    """Time in s after which the ball is at the bottom."""
     return (die - gap - math.sqrt(max(die**2 - radius**2, 0.0))) / speed
 
 
@@ -84,20 +88,25 @@ def shell(
     check_positive(radius=radius, curvature_radius=curvature_radius, gap=gap, speed=speed)
     sheet = SheetOptions(**options)
     least = 2.0 * sheet.thickness
-    if gap <= least:
-        raise ValueError(f"gap = {gap} m must be more than twice the thickness, {least:.3g} m.")
     if radius > 0.5 * math.pi * curvature_radius:
         raise ValueError(
             f"curvature_radius = {curvature_radius} m makes a shell of {radius} m more than half of a ball; "
             f"choose at least {2.0 * radius / math.pi:.4g} m."
         )
+    rise = curvature_radius * (1.0 - math.cos(radius / curvature_radius))
+    if not least < gap < rise:
+        raise ValueError(
+            f"gap = {gap} m must be more than twice the thickness, {least:.3g} m, and less than the height "
+            f"of the shell, {rise:.3g} m."
+        )
     flat = sheet.disc(radius, nodes, seed)
     mesh = flat.with_rest_shape(on_ball(flat.vertices, curvature_radius))
     low, high = mesh.vertices[:, 2].min() - sheet.clearance, mesh.vertices[:, 2].max() + sheet.clearance
-    plate = Corners(jnp.array([0.0, (high - low - gap) / speed]), jnp.array([-high, -(low + gap)]))
+    time = shell_time(radius, curvature_radius, gap, speed)
+    plate = Corners(jnp.array([0.0, time]), jnp.array([-high, -(low + gap)]))
     return sheet.setup(mesh, [Plane(UP, of_time(low)), Plane(-UP, plate)])
 
 
 def shell_time(radius: float, curvature_radius: float, gap: float, speed: float) -> float:
-    """Time in s after which the shell is flat, for a thin sheet."""
+    """Time in s after which the shell is flat."""
     return (curvature_radius * (1.0 - math.cos(radius / curvature_radius)) - gap) / speed
