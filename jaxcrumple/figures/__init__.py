@@ -1,6 +1,6 @@
 """The paper's figures, each from the runs that it needs: `jaxcrumple figure NAME`."""
 
-from jaxcrumple.figures import fold, four, gallery, order, radial
+from jaxcrumple.figures import axial, fold, four, gallery, order, radial
 from jaxcrumple.figures.base import Figure, make_figure
 
 FIGURES: dict[str, Figure] = {
@@ -13,6 +13,7 @@ FIGURES: dict[str, Figure] = {
     "8b": radial.INSIDE,
     "8c": four.FIGURE,
     "8d": radial.REARRANGEMENT,
+    "9": axial.FIGURE,
 }
 
 __all__ = ["FIGURES", "Figure", "make_figure"]

@@ -1,0 +1,71 @@
+"""Fig. 9: repeated axial crumpling: growth of the crease length, facets, and how their areas are spread."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from jaxcrumple.config import RunConfig, configure
+from jaxcrumple.figures.base import Figure, Runs, about, save_table
+from jaxcrumple.io import Run
+from jaxcrumple.measure import crease_length, fit_areas, fit_growth, segment_facets
+from jaxcrumple.plot_facets import plot_areas, plot_facets, plot_growth
+from jaxcrumple.scenes.axial import AxialTimes
+
+# Nodes, cycles and seeds for a laptop and in full; frames of a cycle.
+NODES, CYCLES, SEEDS, FRAMES = (500, 2000), (3, 5), (1, 3), 10
+# Cycles whose facets are shown.
+SHOWN = 3
+
+
+def _runs(full: bool) -> dict[str, RunConfig]:
+    settings = {"cycles": CYCLES[full], "frames": FRAMES * CYCLES[full]}
+    return {
+        f"seed{seed}": configure("axial", nodes=NODES[full], seed=seed, settings=settings)
+        for seed in range(SEEDS[full])
+    }
+
+
+def cycle_frames(run: Run) -> list[int]:
+    """Numbers of the frames at which the sheet lies flat again, one for each cycle."""
+    options = run.config["options"]
+    times = AxialTimes(*(options[name] for name in AxialTimes._fields))
+    ends = times.ends(options["cycles"])[:, -1]
+    return [int(np.argmin(np.abs(run.t - end))) for end in ends if end <= run.t[-1] * (1.0 + 1e-9)]
+
+
+def growth(run: Run) -> pd.DataFrame:
+    """Crease length in m after each cycle of a run."""
+    lengths = [crease_length(run.mesh, run.p[frame]) for frame in cycle_frames(run)]
+    table = {"seed": run.config["seed"], "cycle": np.arange(1, len(lengths) + 1), "crease_length": lengths}
+    return pd.DataFrame(table)
+
+
+def _draw(runs: Runs, folder: Path) -> list[Path]:
+    grown = pd.concat([growth(run) for run in runs.values()])
+    fits = [
+        fit_growth(own["cycle"], own["crease_length"]).assign(seed=seed)
+        for seed, own in grown.groupby("seed")
+    ]
+    first = next(iter(runs.values()))
+    mean = grown.groupby("cycle")["crease_length"].mean()
+    caption = about(first) if len(runs) == 1 else f"{about(first)}; mean of {len(runs)} seeds"
+    paths = [
+        plot_growth(mean.index, mean, caption=caption, path=folder / "figure_9b.png"),
+        save_table(grown, folder / "figure_9b.csv"),
+        save_table(pd.concat(fits), folder / "figure_9b_laws.csv"),
+    ]
+    rows = []
+    for cycle, frame in enumerate(cycle_frames(first)[:SHOWN], 1):
+        facets = segment_facets(first.mesh, first.p[frame])
+        now = f"{about(first, first.t[frame])}, cycle {cycle}"
+        place = folder / f"figure_9d_facets_{cycle}.png"
+        paths.append(plot_facets(first.mesh, facets.label, first.p[frame], caption=now, path=place))
+        fit = fit_areas(facets.area) if len(facets.area) > 2 else None
+        if fit is not None:
+            paths.append(plot_areas(facets.area, caption=now, path=folder / f"figure_9d_areas_{cycle}.png"))
+        rows.append({"cycle": cycle, "facets": len(facets.area), **({} if fit is None else fit._asdict())})
+    return [*paths, save_table(pd.DataFrame(rows), folder / "figure_9d.csv")]
+
+
+FIGURE = Figure("repeated axial crumpling: creases, facets and their areas", _runs, _draw)
