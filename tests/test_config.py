@@ -89,7 +89,7 @@ def test_unknown_scenes_are_refused():
     ("settings", "message"),
     [
         (["radius=0.05"], "radius = 0.05 m leaves the corners of a sheet of size 0.1 m outside; choose at"),
-        (["size=inf"], "size = inf must be a positive length"),
+        (["size=inf"], "size = inf must be a positive number"),
         (["imperfection=inf"], "imperfection = inf m must be zero or positive"),
         (["hold=7.1"], "hold = 7.1 s must be a time between 0 and 7.1 s, when the sphere has shrunk"),
     ],
@@ -108,7 +108,7 @@ def test_a_sphere_that_holds_may_be_run_for_long():
 
 
 def test_a_speed_that_is_not_finite_is_refused():
-    with pytest.raises(ValueError, match="speed = inf must be a positive length"):
+    with pytest.raises(ValueError, match="speed = inf must be a positive number"):
         SCENES["radial"].build(60, speed=np.inf)
 
 

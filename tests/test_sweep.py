@@ -169,7 +169,7 @@ def test_words_and_none_are_values():
         ({"load": [0.1]}, {"devices": jax.devices(), "backend": "processes"}, "devices are for"),
         ({"load": [0.1]}, {"max_attempts": 0}, "max_attempts = 0"),
         ({"laod": [0.1]}, {}, "did you mean 'load'"),
-        ({"load": [0.1, -1.0]}, {}, "load=-1.0: load = -1.0"),
+        ({"load": [0.1, -1.0]}, {}, "load=-1.0: options.load = -1.0"),
         ({"rise": [0.002, 0.02]}, {}, "rise=0.02: rise = 0.02 m is more than half"),
         ({"nodes": [60, 300]}, {"settings": {}}, "one mesh and one kind"),
         ({"load": [0.1]}, {"settings": {"load": 0.2}}, "in over and in settings"),
