@@ -321,7 +321,7 @@ def scenes(
         print(template(toml), end="")
         return
     for name, entry in SCENES.items():
-        console.print(f"[bold]{name}[/bold]: {entry.summary}; ends at t = {entry.t_end} s")
+        console.print(f"[bold]{name}[/bold]: {entry.summary}; ends at t = {entry.t_end:g} s")
         _print_options(entry.options)
     console.print(
         f"[bold]every run[/bold]\n  frames={RunConfig.model_fields['frames'].default} saved after the start"

@@ -198,7 +198,7 @@ def complete(values: Mapping[str, Any], context: Any = None) -> RunConfig:
         parts["options"] = {"damping": "paper", **parts["options"]}
     checked = {name: validated(model, parts[name], (name,), context) for name, model in groups.items()}
     checked["options"] = checked["options"].model_dump()
-    config = validated(RunConfig, {"t_end": entry.ends(checked["options"]), **values, **checked})
+    config = validated(RunConfig, {"t_end": entry.end(checked["options"]), **values, **checked})
     last = entry.lasts(config.options)
     if config.t_end >= last:
         raise ConfigError(

@@ -13,6 +13,7 @@ from jaxcrumple.figures import FIGURES, Figure, axial, fold, make_figure, order,
 from jaxcrumple.figures.panels import moments, plot_moments, table_of
 from jaxcrumple.io import Run
 from jaxcrumple.scenes.fold import TIMES
+from jaxcrumple.solvers.log import STEP
 
 
 @pytest.mark.parametrize("name", FIGURES)
@@ -54,10 +55,12 @@ def test_blocks_along_a_hilbert_curve_hold_most_of_the_tangent():
 
 def made_up(mesh, x, p, scene="radial", **options):
     """A run that never was."""
-    config = {"scene": scene, "seed": 0, "solver": {"rtol": 0.01}, "options": options}
+    config = jc.configure(scene, settings=options).model_dump(mode="json")
     t = np.arange(len(x)) * 1.0
-    history = pd.DataFrame({"t": t, "stretch": 0.1 * t, "bending": 0.2 * t})
-    return Run(t, np.array(x), np.zeros_like(x), np.array(p), mesh, config, {}, history, pd.DataFrame())
+    steps = {"kind": STEP, "stage": "implicit", "h": 1.0, "acceleration_mean": 1e-9}
+    history = pd.DataFrame({"t": t, "stretch": 0.1 * t, "bending": 0.2 * t}).assign(**steps)
+    summary = {"intersections": 0, "cpu_s": 1.0}
+    return Run(t, np.array(x), np.zeros_like(x), np.array(p), mesh, config, summary, history, pd.DataFrame())
 
 
 @pytest.fixture(scope="module")
@@ -84,15 +87,27 @@ def test_panels_show_the_moments_that_are_asked_for(rolled, tmp_path):
 
 
 def test_creases_after_each_cycle(rolled):
-    mesh, times = rolled.mesh, axial.AxialTimes()
-    p = np.zeros((9, len(mesh.hinges)))
-    p[4:, :20], p[8:, 20:30] = 0.5, 0.5
-    options = {**times._asdict(), "cycles": 2}
-    run = made_up(mesh, np.zeros((9, mesh.n_nodes, 3)), p, "axial", **options)
-    run = dataclasses.replace(run, t=np.arange(9) * times.cycle / 4.0)
-    assert axial.cycle_frames(run) == [4, 8]
-    lengths = np.cumsum(mesh.hinge_length)[[19, 29]]
+    run = cycled(rolled.mesh)
+    assert axial.cycle_frames(run) == [4, 8, 12]
+    lengths = np.cumsum(rolled.mesh.hinge_length)[[19, 29, 34]]
     np.testing.assert_allclose(axial.growth(run)["crease_length"], lengths)
+
+
+def cycled(mesh):
+    """Three cycles that damage 20 hinges, 10 more and 5 more."""
+    times, p = axial.AxialTimes(), np.zeros((13, len(mesh.hinges)))
+    p[4:, :20], p[8:, 20:30], p[12:, 30:35] = 0.5, 0.5, 0.5
+    run = made_up(mesh, np.zeros((13, mesh.n_nodes, 3)), p, "axial", **{**times._asdict(), "cycles": 3})
+    return dataclasses.replace(run, t=np.arange(13) * times.cycle / 4.0)
+
+
+@pytest.mark.parametrize("name", ["5", "6", "7", "8a", "8b", "8c", "8d", "9"])
+def test_figures_are_drawn_with_the_data_behind_them(rolled, tmp_path, name):
+    run = cycled(rolled.mesh) if name == "9" else rolled
+    paths = FIGURES[name].draw({"radial": run}, tmp_path)
+    assert {path.suffix for path in paths} == {".png", ".csv"}
+    assert all(path.stat().st_size > 10_000 for path in paths if path.suffix == ".png")
+    assert all(len(pd.read_csv(path)) for path in paths if path.suffix == ".csv")
 
 
 def test_a_figure_does_only_the_runs_that_are_missing(tmp_path):

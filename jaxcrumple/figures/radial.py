@@ -54,7 +54,7 @@ def _draw_steps(runs: Runs, folder: Path) -> list[Path]:
 def _draw_inside(runs: Runs, folder: Path) -> list[Path]:
     run, mesh = runs["radial"], runs["radial"].mesh
     thickness = run.config["material"]["thickness"]
-    frames = [one.frame for one in moments(run, (0.9, 1.0))]
+    frames = list(dict.fromkeys(one.frame for one in moments(run, (0.9, 1.0))))
     fractions = {f"t = {run.t[k]:.3g} s": volume_fraction(mesh, run.x[k], thickness) for k in frames}
     paths = [
         plot_section(mesh, run.x[k], thickness, caption=about(run, run.t[k]), path=folder /

@@ -43,10 +43,14 @@ class SceneEntry(NamedTuple):
     why_it_ends: str = ""
     walls: Callable[[Given], Sequence[str]] = lambda options: ()
 
+    def end(self, given: Given) -> float:
+        """Time in s at which it ends by default, of the options, to nine digits."""
+        return float(f"{self.ends(given):.9g}")
+
     @property
     def t_end(self) -> float:
         """Time in s at which it ends with all options as they are by default."""
-        return self.ends(self.options().model_dump())
+        return self.end(self.options().model_dump())
 
 
 def _radial_lasts(given: Given) -> float:
