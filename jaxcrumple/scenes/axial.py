@@ -14,12 +14,14 @@ import numpy as np
 from jax import Array
 
 from jaxcrumple.mesh import FloatArray, Mesh
-from jaxcrumple.model.confinement import AbstractShape, Corners, Cylinder, Plane
+from jaxcrumple.model.confinement import AbstractShape, Corners, Cylinder, Plane, of_time
 from jaxcrumple.model.loads import ElementEnergy
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions, upright
 from jaxcrumple.scenes.snap import check_positive
 
+# Radius, in units of its size, to which a sheet is bent that is to be rolled up: so it bends to one side.
+BIAS = 2.0
 # Springs that pull the edge home grow from the first to the second stiffness in N/m.
 PULL = (1e-3, 100.0)
 
@@ -52,20 +54,37 @@ def cylindrical(
     size: float = 0.1,
     radius: float = 0.017,
     height: float = 0.03,
-    roll: float = AxialTimes().roll,
-    compress: float = AxialTimes().compress,
+    compress: float = 2.0,
     **options: Any,
 ) -> Setup:
-    """A square sheet of edge `size` that is rolled into a cylinder of `radius` and compressed to `height`.
+    """A square sheet of edge `size`, rolled up in a cylinder of `radius`, that is compressed to `height`.
 
-    **Arguments:** `nodes` of the random mesh made with `seed`; `size`, `radius`, `height` in m; `roll`,
-    `compress`: how long that takes in s; `options` of the sheet: `SheetOptions`.
+    **Arguments:** `nodes` of the random mesh made with `seed`; `size`, `radius`, `height` in m; `compress`:
+    how long that takes in s; `options` of the sheet: `SheetOptions`.
 
-    **Raises:** ValueError for lengths or times that are not positive, or a height that is not less than the
-    size.
+    **Raises:** ValueError for lengths or a time that are not positive, a height that is not less than the
+    size, or a cylinder that the sheet is too wide for.
     """
-    times = AxialTimes(roll, compress)
-    return _setup(nodes, seed, None, size, radius, height, size, times, SheetOptions(**options))
+    check_positive(size=size, radius=radius, height=height, compress=compress)
+    _check_height(height, size)
+    sheet = SheetOptions(**options)
+    inner, least = radius - sheet.clearance - sheet.imperfection, (size + sheet.clearance) / (2.0 * math.pi)
+    if inner < least:
+        raise ValueError(
+            f"radius = {radius} m is too small for a sheet of {size} m that does not overlap; choose at "
+            f"least {least + radius - inner:.4g} m."
+        )
+    mesh = sheet.square(size, nodes, seed)
+    wide = 0.5 * size + sheet.clearance + sheet.imperfection
+    along = jnp.array([0.0, 0.0, 1.0])
+    planes = _corners([0.0, compress], [-wide, -0.5 * height])
+    walls = [
+        Cylinder(jnp.zeros(3), along, of_time(radius)),
+        Plane(along, planes),
+        Plane(-along, planes),
+    ]
+    x = upright(curled(mesh.vertices, inner)) - inner * np.array([0.0, -1.0, 0.0])
+    return sheet.setup(mesh, walls, x=x)
 
 
 def axial(
@@ -104,7 +123,7 @@ def axial(
 def _setup(
     nodes: int,
     seed: int,
-    cycles: int | None,
+    cycles: int,
     size: float,
     radius: float,
     height: float,
@@ -112,32 +131,40 @@ def _setup(
     times: AxialTimes,
     sheet: SheetOptions,
 ) -> Setup:
-    """The scene of so many cycles, or, for None, of a first one that ends when the sheet is compressed."""
     check_positive(size=size, radius=radius, height=height, gap=gap, **times._asdict())
-    if height >= size:
-        raise ValueError(f"height = {height} m must be less than the size {size} m of the sheet.")
+    _check_height(height, size)
     if gap <= 2.0 * sheet.thickness:
         raise ValueError(f"gap = {gap} m must be more than twice the thickness, {2 * sheet.thickness:.3g} m.")
     mesh = sheet.square(size, nodes, seed)
-    x = upright(mesh.vertices)
+    home = upright(mesh.vertices)
     wide = 0.5 * size + sheet.clearance + sheet.imperfection
-    if cycles is None:
-        return sheet.setup(mesh, _walls(wide, radius, height, 0.5 * gap, times.ends(1)[:, :2]), x=x)
     walls = _walls(wide, radius, height, 0.5 * gap, times.ends(cycles))
-    return sheet.setup(mesh, walls, x=x, extra=[_pull(mesh, x, times, cycles)])
+    x = upright(curled(mesh.vertices, BIAS * size))
+    return sheet.setup(mesh, walls, x=x, extra=[_pull(mesh, home, times, cycles)])
+
+
+def _check_height(height: float, size: float) -> None:
+    if height >= size:
+        raise ValueError(f"height = {height} m must be less than the size {size} m of the sheet.")
+
+
+def curled(vertices: FloatArray, radius: float) -> FloatArray:
+    """Points (n, 3) of a flat sheet rolled about the y axis to a `radius` in m, upwards, their heights over
+    the plane pointing to the axis."""
+    angle, inner = vertices[:, 0] / radius, radius - vertices[:, 2]
+    return np.stack([inner * np.sin(angle), vertices[:, 1], radius - inner * np.cos(angle)], axis=1)
 
 
 def _walls(wide: float, radius: float, height: float, thin: float, ends: FloatArray) -> list[AbstractShape]:
     """The cylinder, the two planes that compress along z, and the two that flatten along y.
 
     All are `wide` open, except as they close: to `radius`, `height`, and twice `thin` in m; `ends` (cycles,
-    6) in s are those of the parts of each cycle, or of the first ones.
+    6) in s are those of the parts of each cycle.
     """
-    cycles, parts = ends.shape
-    moments = [0.0, *ends.ravel()]
-    round_ = [wide] + cycles * [radius, radius, wide, wide, wide, wide][:parts]
-    tall = [wide] + cycles * [wide, 0.5 * height, wide, wide, wide, wide][:parts]
-    deep = [wide] + cycles * [wide, wide, wide, wide, thin, wide][:parts]
+    cycles, moments = len(ends), [0.0, *ends.ravel()]
+    round_ = [wide] + cycles * [radius, radius, wide, wide, wide, wide]
+    tall = [wide] + cycles * [wide, 0.5 * height, wide, wide, wide, wide]
+    deep = [wide] + cycles * [wide, wide, wide, wide, thin, wide]
     along, across = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.0, 1.0, 0.0])
     walls: list[AbstractShape] = [Cylinder(jnp.zeros(3), along, _corners(moments, round_))]
     for normal, half in ((along, tall), (across, deep)):

@@ -106,9 +106,9 @@ SCENES: dict[str, SceneEntry] = {
     "cylindrical": SceneEntry(
         cylindrical,
         options.CylindricalOptions,
-        _sum(("roll", "compress")),
-        "square sheet that is rolled into a cylinder and compressed along it (Fig. 7)",
-        walls=_told("cylinder, down to {radius:g} m", "two planes across it, down to {height:g} m"),
+        lambda given: given["compress"],
+        "square sheet, rolled up in a cylinder, that is compressed along it (Fig. 7)",
+        walls=_told("cylinder of radius {radius:g} m", "two planes across it, down to {height:g} m"),
     ),
     "axial": SceneEntry(
         axial,

@@ -61,8 +61,7 @@ class CylindricalOptions(SheetModel):
     size: Metre = Field(0.1, gt=0)
     radius: Metre = Field(0.017, gt=0)
     height: Metre = Field(0.03, gt=0)
-    roll: Second = Field(AXIAL.roll, gt=0)
-    compress: Second = Field(AXIAL.compress, gt=0)
+    compress: Second = Field(2.0, gt=0)
 
 
 class AxialOptions(CylindricalOptions):
@@ -70,6 +69,8 @@ class AxialOptions(CylindricalOptions):
 
     cycles: int = Field(5, ge=1, le=1000)
     height: Metre = Field(0.027, gt=0)
+    compress: Second = Field(AXIAL.compress, gt=0)
+    roll: Second = Field(AXIAL.roll, gt=0)
     gap: Metre = Field(2e-3, gt=0)
     open: Second = Field(AXIAL.open, gt=0)
     unfold: Second = Field(AXIAL.unfold, gt=0)
