@@ -34,8 +34,8 @@ def test_a_sheet_starts_clear_of_walls_and_without_stress(setups, name):
         radius = 0.017 - 1.1 * 0.25e-3 - 25e-6 if name == "cylindrical" else 0.2
         rigidity = float(setup.material.bending_rigidity)
         assert parts.bending == pytest.approx(0.5 * rigidity * setup.mesh.area / radius**2, rel=0.25)
-        # Chords are shorter than arcs: by more the coarser the mesh.
-        assert np.all(np.asarray(setup.scene.membrane.strain(setup.x)) < 1e-12)
+        # Chords are shorter than arcs, by more the coarser the mesh; what lies off the middle is not as long.
+        assert np.all(np.asarray(setup.scene.membrane.strain(setup.x)) < 1.1 * 25e-6 / radius)
     else:
         assert abs(parts.stretch) + abs(parts.bending) + abs(parts.extra) < 1e-20
 
