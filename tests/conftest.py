@@ -31,3 +31,15 @@ def _forgotten_programs():
     """Drop compiled programs after each file: all of them in one process exhaust its memory maps."""
     yield
     jax.clear_caches()
+
+
+@pytest.fixture
+def kept_figures(monkeypatch):
+    """A function that keeps the figures which a module of pictures saves, to look at their parts."""
+
+    def keep(module) -> list:
+        kept, save = [], module.save_figure
+        monkeypatch.setattr(module, "save_figure", lambda *args: (kept.append(args[0]), save(*args))[1])
+        return kept
+
+    return keep

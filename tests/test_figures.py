@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 import jaxcrumple as jc
 from jaxcrumple.cli import app
 from jaxcrumple.figures import FIGURES, Figure, axial, fold, make_figure, order, radial
-from jaxcrumple.figures.panels import moments, plot_moments, table_of
+from jaxcrumple.figures.panels import frames_at, moments, plot_moments, table_of
 from jaxcrumple.io import Run
 from jaxcrumple.scenes.fold import TIMES
 from jaxcrumple.solvers.log import STEP
@@ -78,7 +78,7 @@ def test_a_rearrangement_is_where_curvature_changes_most(rolled):
 
 
 def test_panels_show_the_moments_that_are_asked_for(rolled, tmp_path):
-    shown = moments(rolled, (0.2, 1.0))
+    shown = moments(rolled, frames_at(rolled, (0.2, 1.0)))
     assert [one.frame for one in shown] == [1, 5]
     table = table_of(shown)
     np.testing.assert_allclose(table["rms_curvature"], [1 / 0.5, 1 / 0.09], rtol=0.35)

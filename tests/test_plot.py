@@ -48,18 +48,8 @@ def colors(path):
     return len(np.unique(np.round(255 * pixels[..., :3]).reshape(-1, 3), axis=0))
 
 
-def figure_of(monkeypatch):
-    """Keep the figures that are saved, to look at their parts."""
-    figures = []
-    original = plot.save_figure
-    monkeypatch.setattr(
-        plot, "save_figure", lambda figure, path: (figures.append(figure), original(figure, path))[1]
-    )
-    return figures
-
-
-def test_sheet(tmp_path, mesh, folded, monkeypatch):
-    figures = figure_of(monkeypatch)
+def test_sheet(tmp_path, mesh, folded, kept_figures):
+    figures = kept_figures(plot)
     path = tmp_path / "sheet.png"
     assert plot.plot_sheet(mesh, folded[0], caption="n = 300, rtol = 1e-4", path=path) == path
     assert colors(path) > 100
@@ -77,8 +67,8 @@ def test_sheet_in_other_colors(tmp_path, mesh, folded):
     assert (tmp_path / "a.png").stat().st_size > 10_000
 
 
-def test_creases(tmp_path, mesh, folded, monkeypatch):
-    figures = figure_of(monkeypatch)
+def test_creases(tmp_path, mesh, folded, kept_figures):
+    figures = kept_figures(plot)
     assert colors(plot.plot_creases(mesh, *folded, path=tmp_path / "c.png")) > 100
     axes = figures[0].axes[0]
     mountain, valley = (lines.get_segments() for lines in axes.collections[1:])
@@ -97,8 +87,8 @@ def test_flat_new_sheet(tmp_path, mesh):
     plot.plot_creases(mesh, mesh.vertices, mesh.rest_curvature, path=tmp_path / "b.png")
 
 
-def test_steps(tmp_path, history, monkeypatch):
-    figures = figure_of(monkeypatch)
+def test_steps(tmp_path, history, kept_figures):
+    figures = kept_figures(plot)
     path = tmp_path / "s.png"
     assert colors(plot.plot_steps(history, thresholds=(3e-6, 1e-5), path=path)) > 10
     top, bottom = figures[0].axes
@@ -111,8 +101,8 @@ def test_steps(tmp_path, history, monkeypatch):
     assert "2 switches" in [text.get_text() for text in figures[1].legends[0].get_texts()]
 
 
-def test_energies(tmp_path, history, monkeypatch):
-    figures = figure_of(monkeypatch)
+def test_energies(tmp_path, history, kept_figures):
+    figures = kept_figures(plot)
     plot.plot_energies(history, caption="n = 300", path=tmp_path / "e.png")
     axes = figures[0].axes[0]
     assert [line.get_label() for line in axes.lines] == ["bending", "kinetic"]
@@ -159,9 +149,11 @@ def test_pictures_of_a_run(tmp_path, mesh, folded, history):
         ({"scheme": "dynamic"}, None, None),
     ],
 )
-def test_thresholds_are_drawn_in_the_unit_of_the_axis(tmp_path, monkeypatch, mesh, history, solver, up, down):
+def test_thresholds_are_drawn_in_the_unit_of_the_axis(
+    tmp_path, kept_figures, mesh, history, solver, up, down
+):
     """A switch at `up` sees a_max (m/b)^2 / sqrt(A); the axis shows a_max/a_ref, a_ref = ks/(m lambda)."""
-    figures = figure_of(monkeypatch)
+    figures = kept_figures(plot)
     folder = RunDirectory.create(tmp_path / "run", {"scene": "radial", "solver": solver})
     folder.save_mesh(mesh)
     folder.save_frame(0, 0.0, mesh.vertices, 0 * mesh.vertices, mesh.rest_curvature)

@@ -8,13 +8,8 @@ from jaxcrumple.meshgen import rectangle
 
 
 @pytest.fixture
-def figures(monkeypatch):
-    """The figures that are saved, to look at their parts."""
-    saved, original = [], plot_facets.save_figure
-    monkeypatch.setattr(
-        plot_facets, "save_figure", lambda figure, path: (saved.append(figure), original(figure, path))[1]
-    )
-    return saved
+def figures(kept_figures):
+    return kept_figures(plot_facets)
 
 
 def test_facets(tmp_path, figures):

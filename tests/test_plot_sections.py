@@ -16,13 +16,8 @@ def sphere():
 
 
 @pytest.fixture
-def figures(monkeypatch):
-    """The figures that are saved, to look at their parts."""
-    kept, original = [], plot_sections.save_figure
-    monkeypatch.setattr(
-        plot_sections, "save_figure", lambda figure, path: (kept.append(figure), original(figure, path))[1]
-    )
-    return kept
+def figures(kept_figures):
+    return kept_figures(plot_sections)
 
 
 def test_section_to_scale(tmp_path, sphere, figures):

@@ -11,7 +11,7 @@ from jaxcrumple.measure import mean_curvature
 from jaxcrumple.scenes import SCENES
 from jaxcrumple.scenes.axial import AxialTimes
 from jaxcrumple.scenes.options import SheetModel
-from jaxcrumple.scenes.sheets import SheetOptions, on_ball
+from jaxcrumple.scenes.sheets import SheetOptions, wrapped
 
 SHEETS = [name for name, entry in SCENES.items() if issubclass(entry.options, SheetModel)]
 
@@ -100,7 +100,7 @@ def test_a_shell_is_a_cap_of_a_ball():
     inner = np.setdiff1d(np.arange(mesh.n_nodes), mesh.boundary_nodes)
     assert np.median(curvature[inner]) == pytest.approx(2.0 / 0.06, rel=2e-2)
     flat = jc.disc(0.05, 400).vertices
-    angle = np.arccos(np.clip(on_ball(flat, 0.06)[:, 2] / 0.06 + 1.0, -1.0, 1.0))
+    angle = np.arccos(np.clip(wrapped(flat, 0.06)[:, 2] / 0.06 + 1.0, -1.0, 1.0))
     np.testing.assert_allclose(0.06 * angle, np.linalg.norm(flat, axis=1), atol=1e-9)
 
 

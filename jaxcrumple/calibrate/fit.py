@@ -55,10 +55,18 @@ class Fit:
     residuals: np.ndarray
     snaps: int
     history: pd.DataFrame
-    evaluations: int
-    gradient_evaluations: int
     success: bool
     message: str
+
+    @property
+    def evaluations(self) -> int:
+        """How many runs it asked for."""
+        return int((self.history["kind"] == "residuals").sum())
+
+    @property
+    def gradient_evaluations(self) -> int:
+        """How many derivatives it asked for."""
+        return len(self.history) - self.evaluations
 
     def __repr__(self) -> str:
         found = ", ".join(
@@ -278,8 +286,6 @@ def _result(evaluations: Evaluations, code: _Code, u, scaled: bool, success: boo
     values = {name: float(value) for name, value in code.decoded(u).items()}
     rate = np.where(code.log, np.array(list(values.values())), 1.0)
     std = dict(zip(values, rate * np.sqrt(np.diag(covariance)), strict=True))
-    history = evaluations.history
-    kinds = history["kind"]
     return Fit(
         values=values,
         std={name: float(value) for name, value in std.items()},
@@ -288,9 +294,7 @@ def _result(evaluations: Evaluations, code: _Code, u, scaled: bool, success: boo
         loss=0.5 * float(residuals @ residuals),
         residuals=residuals,
         snaps=evaluations.snaps(u),
-        history=history,
-        evaluations=int((kinds == "residuals").sum()),
-        gradient_evaluations=int((kinds != "residuals").sum()),
+        history=evaluations.history,
         success=success,
         message=message,
     )

@@ -107,6 +107,4 @@ def calibrate_fold(
 def _together(first: Fit, second: Fit) -> Fit:
     """The second of two fits that share their evaluations, with the history of both."""
     history = pd.concat([first.history, second.history], ignore_index=True)
-    history = history.drop_duplicates(["kind", YIELD], ignore_index=True)
-    runs = int((history["kind"] == "residuals").sum())
-    return replace(second, history=history, evaluations=runs, gradient_evaluations=len(history) - runs)
+    return replace(second, history=history.drop_duplicates(["kind", YIELD], ignore_index=True))

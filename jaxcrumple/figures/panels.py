@@ -21,9 +21,13 @@ class Moment(NamedTuple):
     frame: int
 
 
-def moments(run: Run, shares: Sequence[float]) -> list[Moment]:
-    """Frames at shares of a run's time."""
-    frames = [int(np.argmin(np.abs(run.t - share * run.t[-1]))) for share in shares]
+def frames_at(run: Run, shares: Sequence[float]) -> list[int]:
+    """Numbers of the frames nearest to shares of a run's time, each once."""
+    return list(dict.fromkeys(int(np.argmin(np.abs(run.t - share * run.t[-1]))) for share in shares))
+
+
+def moments(run: Run, frames: Sequence[int]) -> list[Moment]:
+    """Frames of a run, by number, with their times above them."""
     return [Moment(f"t = {run.t[frame]:.3g} s", run, frame) for frame in frames]
 
 

@@ -9,7 +9,7 @@ import pandas as pd
 
 from jaxcrumple.config import RunConfig, configure
 from jaxcrumple.figures.base import Figure, Runs, about, save_table
-from jaxcrumple.figures.panels import moments, plot_moments, table_of
+from jaxcrumple.figures.panels import frames_at, moments, plot_moments, table_of
 from jaxcrumple.io import Run
 from jaxcrumple.measure import mean_curvature, stacked_layers, volume_fraction
 from jaxcrumple.plot import plot_steps
@@ -37,7 +37,7 @@ def _panels(number: str, shares: Sequence[float] = SHARES) -> Callable[[Runs, Pa
 
     def draw(runs: Runs, folder: Path) -> list[Path]:
         run = runs["radial"]
-        shown = moments(run, shares)
+        shown = moments(run, frames_at(run, shares))
         picture = plot_moments(shown, about(run), folder / f"figure_{number}.png")
         return [picture, save_table(table_of(shown), folder / f"figure_{number}.csv")]
 
@@ -54,12 +54,12 @@ def _draw_steps(runs: Runs, folder: Path) -> list[Path]:
 def _draw_inside(runs: Runs, folder: Path) -> list[Path]:
     run, mesh = runs["radial"], runs["radial"].mesh
     thickness = run.config["material"]["thickness"]
-    frames = list(dict.fromkeys(one.frame for one in moments(run, (0.9, 1.0))))
+    frames = frames_at(run, (0.9, 1.0))
     fractions = {f"t = {run.t[k]:.3g} s": volume_fraction(mesh, run.x[k], thickness) for k in frames}
-    paths = [
-        plot_section(mesh, run.x[k], thickness, caption=about(run, run.t[k]), path=folder /
-        f"figure_8b_{place}.png") for place, k in enumerate(frames, 1)
-    ]  # fmt: skip
+    paths = []
+    for place, k in enumerate(frames, 1):
+        path, caption = folder / f"figure_8b_{place}.png", about(run, run.t[k])
+        paths.append(plot_section(mesh, run.x[k], thickness, caption=caption, path=path))
     paths.append(plot_volume_fraction(fractions, caption=about(run), path=folder / "figure_8b.png"))
     rows = [
         pd.DataFrame(
@@ -95,7 +95,7 @@ def _draw_rearrangement(runs: Runs, folder: Path) -> list[Path]:
     run = runs["radial"]
     after = rearrangement(run)
     frames = [max(after - 2, 0), after - 1, after, min(after + 1, len(run.t) - 1)]
-    shown = moments(run, [run.t[k] / run.t[-1] for k in frames])
+    shown = moments(run, frames)
     picture = plot_moments(shown, f"{about(run)}, elastic", folder / "figure_8d.png")
     return [picture, save_table(table_of(shown), folder / "figure_8d.csv")]
 

@@ -17,7 +17,7 @@ from jaxcrumple.mesh import FloatArray, Mesh
 from jaxcrumple.model.confinement import AbstractShape, Corners, Cylinder, Plane, of_time
 from jaxcrumple.model.loads import ElementEnergy
 from jaxcrumple.scenes.setup import Setup
-from jaxcrumple.scenes.sheets import SheetOptions, upright
+from jaxcrumple.scenes.sheets import SheetOptions, upright, wrapped
 from jaxcrumple.scenes.snap import check_positive
 
 # Radius, in units of its size, to which a sheet is bent that is to be rolled up: so it bends to one side.
@@ -45,6 +45,9 @@ class AxialTimes(NamedTuple):
     def ends(self, cycles: int) -> FloatArray:
         """Times (cycles, 6) in s at which the parts of each cycle end."""
         return self.cycle * np.arange(cycles)[:, None] + np.cumsum(self)
+
+
+TIMES = AxialTimes()
 
 
 def cylindrical(
@@ -83,7 +86,7 @@ def cylindrical(
         Plane(along, planes),
         Plane(-along, planes),
     ]
-    x = upright(curled(mesh.vertices, inner)) - inner * np.array([0.0, -1.0, 0.0])
+    x = upright(curled(mesh.vertices, inner)) + np.array([0.0, inner, 0.0])
     return sheet.setup(mesh, walls, x=x)
 
 
@@ -96,12 +99,12 @@ def axial(
     radius: float = 0.017,
     height: float = 0.027,
     gap: float = 2e-3,
-    roll: float = AxialTimes().roll,
-    compress: float = AxialTimes().compress,
-    open: float = AxialTimes().open,
-    unfold: float = AxialTimes().unfold,
-    flatten: float = AxialTimes().flatten,
-    rest: float = AxialTimes().rest,
+    roll: float = TIMES.roll,
+    compress: float = TIMES.compress,
+    open: float = TIMES.open,
+    unfold: float = TIMES.unfold,
+    flatten: float = TIMES.flatten,
+    rest: float = TIMES.rest,
     **options: Any,
 ) -> Setup:
     """A square sheet that is rolled up, compressed, unfolded and flattened, again and again; damage stays.
@@ -117,20 +120,7 @@ def axial(
     if cycles < 1:
         raise ValueError(f"cycles = {cycles!r} must be at least 1.")
     times = AxialTimes(roll, compress, open, unfold, flatten, rest)
-    return _setup(nodes, seed, cycles, size, radius, height, gap, times, SheetOptions(**options))
-
-
-def _setup(
-    nodes: int,
-    seed: int,
-    cycles: int,
-    size: float,
-    radius: float,
-    height: float,
-    gap: float,
-    times: AxialTimes,
-    sheet: SheetOptions,
-) -> Setup:
+    sheet = SheetOptions(**options)
     check_positive(size=size, radius=radius, height=height, gap=gap, **times._asdict())
     _check_height(height, size)
     if gap <= 2.0 * sheet.thickness:
@@ -149,10 +139,9 @@ def _check_height(height: float, size: float) -> None:
 
 
 def curled(vertices: FloatArray, radius: float) -> FloatArray:
-    """Points (n, 3) of a flat sheet rolled about the y axis to a `radius` in m, upwards, their heights over
-    the plane pointing to the axis."""
-    angle, inner = vertices[:, 0] / radius, radius - vertices[:, 2]
-    return np.stack([inner * np.sin(angle), vertices[:, 1], radius - inner * np.cos(angle)], axis=1)
+    """Points (n, 3) of a flat sheet rolled upwards about the y axis to a `radius` in m."""
+    turned = np.array([1.0, 1.0, -1.0])
+    return turned * wrapped(turned * vertices, radius, along="y")
 
 
 def _walls(wide: float, radius: float, height: float, thin: float, ends: FloatArray) -> list[AbstractShape]:

@@ -29,7 +29,7 @@ from jaxcrumple.scenes.custom_options import (
     Taper,
 )
 from jaxcrumple.scenes.setup import Setup
-from jaxcrumple.scenes.sheets import smooth_imperfection
+from jaxcrumple.scenes.sheets import smooth_imperfection, wrapped
 from jaxcrumple.validation import validated
 
 
@@ -85,18 +85,17 @@ def bent(points: FloatArray, bend: Bend | None) -> FloatArray:
 
     **Raises:** ValueError where they reach round to the other side.
     """
+    flat = np.column_stack([points, np.zeros(len(points))])
     if bend is None:
-        return np.column_stack([points, np.zeros(len(points))])
-    across = np.ones(2) if bend.kind == "sphere" else np.where([bend.axis == "x", bend.axis == "y"], 0.0, 1.0)
-    angle = np.linalg.norm(points * across, axis=1) / bend.radius
-    if angle.max() >= np.pi:
+        return flat
+    along = bend.axis if bend.kind == "cylinder" else None
+    reach = np.linalg.norm(points * [along != "x", along != "y"], axis=1).max()
+    if reach >= np.pi * bend.radius:
         raise ValueError(
             f"sheet.bend.radius = {bend.radius:g} m bends the sheet all the way round; choose more than "
-            f"{bend.radius * angle.max() / np.pi:.4g} m."
+            f"{reach / np.pi:.4g} m."
         )
-    # np.sinc(x) is sin(pi x) / (pi x).
-    shrink = 1.0 - (1.0 - np.sinc(angle / np.pi))[:, None] * across
-    return np.column_stack([points * shrink, bend.radius * (np.cos(angle) - 1.0)])
+    return wrapped(flat, bend.radius, along=along)
 
 
 def _varied(material: Material, sheet: Square | Disc | FileSheet, mesh: Mesh) -> Material:

@@ -6,12 +6,10 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from jaxcrumple.model.contact import Potential
-from jaxcrumple.scenes.axial import AxialTimes
+from jaxcrumple.scenes.axial import TIMES as AXIAL
 from jaxcrumple.scenes.custom_options import refuse_idle_contact
 from jaxcrumple.scenes.fold import TIMES
 from jaxcrumple.units import LENGTH, TIME, Metre, MetrePerSecond, Newton, Radian, Second
-
-AXIAL = AxialTimes()
 
 
 class SceneOptions(BaseModel):

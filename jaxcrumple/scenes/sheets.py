@@ -100,14 +100,17 @@ def smooth_imperfection(points: np.ndarray, size: float, amplitude: float, seed:
     return amplitude * height / max(np.max(np.abs(height)), np.finfo(float).tiny)
 
 
-def on_ball(vertices: FloatArray, radius: float) -> FloatArray:
-    """Points (n, 3) of a flat sheet wrapped over a ball of `radius` in m below it: distances from the origin,
-    and heights over the sheet's plane, are kept."""
-    flat, height = vertices[:, :2], vertices[:, 2:]
-    reach = np.linalg.norm(flat, axis=1, keepdims=True)
-    away = flat / np.maximum(reach, np.finfo(float).tiny)
-    normal = np.hstack([np.sin(reach / radius) * away, np.cos(reach / radius)])
-    return (radius + height) * normal - np.array([0.0, 0.0, radius])
+def wrapped(vertices: FloatArray, radius: float, *, along: str | None = None) -> FloatArray:
+    """Points (n, 3) in m of a flat sheet wrapped over a ball of `radius` in m below it, or over a cylinder
+    `along` "x" or "y": distances from the origin, or from the cylinder's line, and heights over the sheet are
+    kept."""
+    flat, height = vertices[:, :2], vertices[:, 2]
+    across = np.array([along != "x", along != "y"], float)
+    angle = np.linalg.norm(flat * across, axis=1) / radius
+    # np.sinc(x) is sin(pi x) / (pi x).
+    stretch = (1.0 + height / radius) * np.sinc(angle / np.pi)
+    sides = flat * (1.0 + (stretch - 1.0)[:, None] * across)
+    return np.column_stack([sides, (radius + height) * np.cos(angle) - radius])
 
 
 def upright(points: FloatArray) -> FloatArray:

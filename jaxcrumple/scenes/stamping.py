@@ -13,7 +13,7 @@ import numpy as np
 from jaxcrumple.model.confinement import Ball, Corners, Plane, Sphere, of_time
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.scenes.setup import Setup
-from jaxcrumple.scenes.sheets import SheetOptions, on_ball
+from jaxcrumple.scenes.sheets import SheetOptions, wrapped
 from jaxcrumple.scenes.snap import check_positive
 
 UP = jnp.array([0.0, 0.0, 1.0])
@@ -100,7 +100,7 @@ def shell(
             f"of the shell, {rise:.3g} m."
         )
     flat = sheet.disc(radius, nodes, seed)
-    mesh = flat.with_rest_shape(on_ball(flat.vertices, curvature_radius))
+    mesh = flat.with_rest_shape(wrapped(flat.vertices, curvature_radius))
     low, high = mesh.vertices[:, 2].min() - sheet.clearance, mesh.vertices[:, 2].max() + sheet.clearance
     time = shell_time(radius, curvature_radius, gap, speed)
     plate = Corners(jnp.array([0.0, time]), jnp.array([-high, -(low + gap)]))
