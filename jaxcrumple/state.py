@@ -174,6 +174,20 @@ def no_work() -> Work:
     return Work(*(jnp.zeros(()) for _ in Work._fields))
 
 
+class Slopes(NamedTuple):
+    """Derivatives at the state as the last explicit step handed them on: `acceleration` (n, 3) in m/s2 and
+    `flow` (h,) in 1/s, that of p; whether they are `known`."""
+
+    acceleration: Array
+    flow: Array | None
+    known: Array
+
+
+def no_slopes(x: Array, p: Array | None) -> Slopes:
+    """Slopes that nobody knows, at positions `x` (n, 3) and rest curvatures `p` (h,)."""
+    return Slopes(jnp.zeros_like(x), None if p is None else jnp.zeros_like(p), jnp.asarray(False))
+
+
 class Listing(eqx.Module):
     """What the lists of contact are made for, so that a saved state finds the same ones.
 
@@ -195,7 +209,8 @@ class State(eqx.Module):
     `t` s; `x` (n, 3) m; `v` (n, 3) m/s; `p` (h,) rest curvature or None in an elastic scene; `h`,
     `h_explicit`: next step of the implicit stages and of the explicit one in s; `limit`: stability
     limit of explicit steps in s, measured now and then; `stage`: `QUASISTATIC`, `IMPLICIT`, `EXPLICIT`,
-    or -1 for that in which the scheme starts; `listing`: None without contact; `kept`: where the tangent
+    or -1 for that in which the scheme starts; `slopes`: what explicit steps hand on; `listing`: None without
+    contact; `kept`: where the tangent
     was taken with which the last implicit step ended; `work`: the work ledger, None where none is kept.
     """
 
@@ -207,6 +222,7 @@ class State(eqx.Module):
     h_explicit: Array
     limit: Array
     stage: Array
+    slopes: Slopes
     listing: Listing | None
     history: History
     kept: Linearization
@@ -245,6 +261,7 @@ def initial_state(
         h_explicit=nought,
         limit=nought,
         stage=jnp.asarray(-1, int),
+        slopes=no_slopes(x, p),
         listing=listing,
         history=history,
         kept=kept,
@@ -288,9 +305,15 @@ def restarted(scene: Scene, state: State, x: Array, v: Array) -> State:
     """The state at other positions `x` (n, 3) in m and velocities `v` (n, 3) in m/s: it remembers nothing of
     others but its stage and its steps."""
     return eqx.tree_at(
-        lambda s: (s.x, s.v, s.monitor, s.history, s.kept, s.listing),
+        lambda s: (s.x, s.v, s.slopes, s.monitor, s.history, s.kept, s.listing),
         state,
-        (x, v, fresh_monitor(state.monitor.ratios.shape[0]), *_memory(scene, x, v, state.p)),
+        (
+            x,
+            v,
+            no_slopes(x, state.p),
+            fresh_monitor(state.monitor.ratios.shape[0]),
+            *_memory(scene, x, v, state.p),
+        ),
         is_leaf=lambda leaf: leaf is None,
     )
 

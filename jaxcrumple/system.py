@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sparse
 from jax import Array
 
-from jaxcrumple.model.geometry import curvature
+from jaxcrumple.model.geometry import Hinge, curvature
 from jaxcrumple.model.plasticity import implicit_update
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.state import ImplicitStep, State
@@ -72,10 +72,14 @@ def rates(scene: Scene, x: Array, v: Array, p: Array | None, t: Array) -> tuple[
     return dx, dv, dp
 
 
+def force_at_rest(scene: Scene, hinges: Hinge, x: Array, p: Array | None, t: Array) -> Array:
+    """Force (n, 3) in N on nodes that do not move, at positions `x` (n, 3) with these `hinges`."""
+    return _external_force(scene, x, t) + scene.bending.force(hinges, scene.rest_curvature(p), x.shape[0])
+
+
 def _force_and_rate(scene: Scene, x, v, p, t) -> tuple[Array, Array | None]:
     hinges = scene.bending.hinges(x)
-    total = _external_force(scene, x, t)
-    total = total + scene.bending.force(hinges, scene.rest_curvature(p), x.shape[0])
+    total = force_at_rest(scene, hinges, x, p, t)
     if scene.drag is not None:
         total = total + scene.drag.force(v)
     if scene.damping is not None:
@@ -109,8 +113,7 @@ def _plastic_update(scene: Scene, step: ImplicitStep, theta: Array) -> tuple[Arr
 def _condensed(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array | None, Array | None]:
     hinges = scene.bending.hinges(x)
     p, softening = _plastic_update(scene, step, hinges.theta)
-    total = _external_force(scene, x, step.t)
-    total = total + scene.bending.force(hinges, scene.rest_curvature(p), x.shape[0])
+    total = force_at_rest(scene, hinges, x, p, step.t)
     v = step.velocity(x)
     if scene.drag is not None:
         total = total + scene.drag.force(v)

@@ -12,8 +12,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from jaxcrumple.solvers import bdf
-from jaxcrumple.solvers.explicit import RK43
 from jaxcrumple.solvers.implicit import GROWTH
+from jaxcrumple.solvers.runge_kutta import RK43
 from jaxcrumple.state import HISTORY, History
 
 # --- BDF: coefficients ---------------------------------------------------------------------------

@@ -11,7 +11,8 @@ from scipy.sparse.linalg import eigsh
 
 from jaxcrumple.meshgen import rectangle
 from jaxcrumple.model.scene import sheet
-from jaxcrumple.solvers.explicit import STABILITY, largest_eigenvalue, stability_limit
+from jaxcrumple.solvers.runge_kutta import STABILITY, RungeKutta
+from jaxcrumple.solvers.stability import fastest, largest_eigenvalue
 from jaxcrumple.state import initial_state
 from jaxcrumple.system import mass_matrix, tangent
 
@@ -143,7 +144,7 @@ def test_stability_limit_bounds_the_largest_frequency_tightly(shape):
             tangent(scene, state), k=1, M=mass_matrix(scene).tocsc(), which="LA", return_eigenvectors=False
         )[0]
     )
-    limit = float(stability_limit(scene, state.x))
+    limit = float(RungeKutta.stable(fastest(scene, state.x)))
     assert 0.7 < limit * omega / RK4_LIMIT < 1.0
 
 
@@ -164,7 +165,7 @@ def test_stability_limit_is_sharp_on_the_lattice():
     _, scene, _ = patch()
     ks, _, mass = constants(scene)
     scene = eqx.tree_at(lambda s: (s.drag, s.damping), scene, (None, None), is_leaf=lambda x: x is None)
-    limit = float(stability_limit(scene, jnp.asarray(patch()[0].vertices)))
+    limit = float(RungeKutta.stable(fastest(scene, jnp.asarray(patch()[0].vertices))))
     assert limit == pytest.approx(STABILITY / np.sqrt(6 * ks / mass), rel=1e-9)
 
 
@@ -178,7 +179,7 @@ def test_no_damped_mode_grows_at_the_stability_limit(drag_rate, damping_time):
     mesh, _, stiffness = patch()
     material = elastic(drag_rate=drag_rate, internal_damping_time=damping_time)
     scene = sheet(mesh, material)
-    limit = float(stability_limit(scene, jnp.asarray(mesh.vertices)))
+    limit = float(RungeKutta.stable(fastest(scene, jnp.asarray(mesh.vertices))))
     squared = np.linalg.eigvalsh(stiffness.toarray()) / constants(scene)[2]
     squared = np.maximum(squared, 0.0)
     # In the plane damping follows stiffness; flexural modes have drag alone.

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxcrumple.model.chunks import accumulate, compacted
 from jaxcrumple.model.distance import primitive_distances, shared_parts
 from jaxcrumple.model.geometry import Vec, add, dot, gather, scale, sub
 from jaxcrumple.model.near import motion
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 TOUCHING = 0.1
 # Advances after which a pair that is still under way counts as touching.
 ADVANCES = 64
+# Pairs of triangles that are looked at together.
+DOUBTED = 64
 
 
 def crosses(contact: "Contact", start: Array, end: Array) -> Array:
@@ -31,13 +34,18 @@ def crosses(contact: "Contact", start: Array, end: Array) -> Array:
     moved = jnp.maximum(motion(near.around.x, start), motion(near.around.x, end))
     closest = near.distance - jnp.max(moved[first], axis=1) - jnp.max(moved[second], axis=1)
     doubtful = (closest <= 0) & (jnp.arange(first.shape[0]) < near.pair_count)
-    parts = (gather(start, first), gather(start, second))
-    steps = (gather(end - start, first), gather(end - start, second))
+    places, count = compacted(
+        lambda at: doubtful[at][:, None], near.pair_count, 1, first.shape[0], first.shape[0]
+    )
 
-    def advance() -> Array:
-        return jnp.any(touches(parts, steps, shared_parts(first, second), contact.range, doubtful))
+    def add(touched: Array, arguments: tuple[Array, ...], at: Array, held: Array) -> Array:
+        start, way, first, second, places = arguments
+        first, second = first[places[at]], second[places[at]]
+        parts, steps = ((gather(x, first), gather(x, second)) for x in (start, way))
+        return touched | jnp.any(touches(parts, steps, shared_parts(first, second), contact.range, held))
 
-    return jax.lax.cond(jnp.any(doubtful), advance, lambda: jnp.asarray(False))
+    arguments = (start, end - start, first, second, places)
+    return accumulate(add, jnp.asarray(False), arguments, count, first.shape[0], DOUBTED)
 
 
 Corners = tuple[tuple[Vec, ...], tuple[Vec, ...]]

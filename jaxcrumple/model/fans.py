@@ -20,17 +20,25 @@ PLACED_TURN, LISTED_TURN, DUE_TURN, MOST_TURN = np.deg2rad([60.0, 80.0, 95.0, 11
 class Fans(eqx.Module):
     """Pairs of triangles at a node, by the way around the node from one to the other.
 
-    `triangles` (w, 2), first below second, of each way; `hinges` (w, k): those crossed, padded with the
-    number of hinges.
+    `triangles` (w, 2), first below second, of each way; `hinges` (n, k): those around each node in order,
+    twice where they close, padded with the number of hinges; `ends` (w, 2): where a way begins and ends
+    among them, as places in (n, k + 1).
     """
 
     triangles: Array
     hinges: Array
+    ends: Array
 
     def turning(self, theta: Array) -> Array:
         """By how much (w,) the sheet turns along each way where hinges have angles `theta` (h,)."""
         angles = jnp.append(jnp.abs(theta), 0.0)
-        return sum((angles[self.hinges[:, k]] for k in range(self.hinges.shape[1])), jnp.zeros(()))
+        # One sum around each node serves all ways there, of which there are thirty.
+        turned, before = jnp.zeros(self.hinges.shape[0]), []
+        for k in range(self.hinges.shape[1]):
+            before.append(turned)
+            turned = turned + angles[self.hinges[:, k]]
+        sums = jnp.stack([*before, turned], axis=1).reshape(-1)
+        return sums[self.ends[:, 1]] - sums[self.ends[:, 0]]
 
 
 def build_fans(mesh: Mesh) -> Fans:
@@ -40,29 +48,25 @@ def build_fans(mesh: Mesh) -> Fans:
     """
     fans = list(_fans(mesh, _corner_angles(mesh)))
     hinge_of = _hinge_table(mesh)
+    width = 2 * max(len(fan) for fan, _, _ in fans)
+    hinges = np.full((len(fans), width), len(mesh.hinges))
     pairs: list[tuple[int, int]] = []
-    crossed: list[tuple[int, ...]] = []
-    for fan, angles, closed in fans:
-        turn = sum(angles)
-        for i in range(len(fan)):
-            for j in range(i + 1, len(fan)):
-                ways = [fan[i : j + 1]]
-                between = [sum(angles[i + 1 : j])]
-                if closed:
-                    ways.append(fan[j:] + fan[: i + 1])
-                    between.append(turn - angles[i] - angles[j] - between[0])
-                for way, angle in zip(ways, between, strict=True):
-                    straight = angle < np.pi or not closed
-                    pairs.append((min(fan[i], fan[j]), max(fan[i], fan[j])))
-                    crossed.append(
-                        tuple(hinge_of[a, b] for a, b in itertools.pairwise(way)) if straight else ()
-                    )
-    width = max(len(fan) for fan, _, _ in fans)
-    hinges = np.full((len(crossed), width), len(mesh.hinges))
-    for row, way in zip(hinges, crossed, strict=True):
-        row[: len(way)] = way
-    triangles = np.array(pairs, int).reshape(-1, 2)
-    return Fans(jnp.asarray(triangles, jnp.int32), jnp.asarray(hinges, jnp.int32))
+    ends: list[tuple[int, int]] = []
+    for node, (fan, angles, closed) in enumerate(fans):
+        turn, around, first = sum(angles), 2 * fan if closed else fan, node * (width + 1)
+        crossed = [hinge_of[a, b] for a, b in itertools.pairwise(around)]
+        hinges[node, : len(crossed)] = crossed
+        for i, j in itertools.combinations(range(len(fan)), 2):
+            ways, between = [(i, j)], [sum(angles[i + 1 : j])]
+            if closed:
+                ways.append((j, i + len(fan)))
+                between.append(turn - angles[i] - angles[j] - between[0])
+            for (begin, end), angle in zip(ways, between, strict=True):
+                straight = angle < np.pi or not closed
+                pairs.append((min(fan[i], fan[j]), max(fan[i], fan[j])))
+                ends.append((first + begin, first + (end if straight else begin)))
+    triangles, places = (np.array(part, int).reshape(-1, 2) for part in (pairs, ends))
+    return Fans(*(jnp.asarray(part, jnp.int32) for part in (triangles, hinges, places)))
 
 
 def _corner_angles(mesh: Mesh) -> np.ndarray:

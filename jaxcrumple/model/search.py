@@ -2,15 +2,20 @@
 
 import itertools
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import cKDTree
 
 from jaxcrumple.model.contact import Contact
-from jaxcrumple.model.fans import LISTED_TURN
+from jaxcrumple.model.fans import LISTED_TURN, Fans
 from jaxcrumple.model.near import EXCLUSION
 
 # Share of the triangles whose reach is large enough to be searched for one by one.
 FAST = 0.02
+
+
+_turning = eqx.filter_jit(Fans.turning)
 
 
 class Search:
@@ -23,7 +28,7 @@ class Search:
         self.hinges = np.asarray(hinges)
         self.rest = np.asarray(contact.rest)
         self.fan_triangles = np.asarray(contact.fans.triangles)
-        self.fan_hinges = np.asarray(contact.fans.hinges)
+        self.fans = contact.fans
         pairs = np.unique(self.fan_triangles, axis=0)
         self.sharing = pairs[:, 0].astype(np.int64) * len(self.faces) + pairs[:, 1]
 
@@ -70,8 +75,7 @@ class Search:
         a, b, c, d = (x[self.hinges[:, k]] for k in range(4))
         n1, n2 = np.cross(b - a, c - a), np.cross(d - a, b - a)
         angle = np.arctan2(np.linalg.norm(np.cross(n1, n2), axis=1), np.einsum("ij,ij->i", n1, n2))
-        angles = np.append(angle, 0.0)
-        return sum(angles[column] for column in self.fan_hinges.T) > turn
+        return np.asarray(_turning(self.fans, jnp.asarray(angle))) > turn
 
 
 def _tree_pairs(center: np.ndarray, radius: np.ndarray, room: np.ndarray, sigma: float) -> np.ndarray:

@@ -9,6 +9,7 @@ from jaxcrumple.model.near import Near, doubled, no_neighbors
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.replay.contacts import Lists, make_lists
 from jaxcrumple.replay.snaps import snaps
+from jaxcrumple.solvers.explicit import AbstractExplicit
 from jaxcrumple.solvers.linear import AbstractLinearSolver
 from jaxcrumple.solvers.log import Trail
 from jaxcrumple.solvers.pair import BDFPair
@@ -45,8 +46,8 @@ class Record(eqx.Module):
 
     `scene` of the run, and the state `start` it began with; `t` (f,) s: times of its frames; `steps`;
     `lists`, and an empty list of sites `near` with room for those of a step, or None without contact;
-    `linear` and `rho_infinity` as the run's solver has them, and whether it has `inertia`; `stages`: those
-    in which it made steps; `snaps` (64,) s: when it began to snap, then infinity.
+    `explicit`, `linear` and `rho_infinity` as the run's solver has them, and whether it has `inertia`;
+    `stages`: those in which it made steps; `snaps` (64,) s: when it began to snap, then infinity.
     """
 
     scene: Scene
@@ -55,6 +56,7 @@ class Record(eqx.Module):
     steps: Steps
     lists: Lists | None
     near: Near | None
+    explicit: AbstractExplicit | None
     linear: AbstractLinearSolver | None
     rho_infinity: Array
     snaps: Array
@@ -118,6 +120,7 @@ class Recorder:
             steps=Steps(jnp.asarray(valid), *map(jnp.asarray, parts)),
             lists=lists,
             near=near,
+            explicit=solver.explicit,
             linear=None if implicit is None else implicit.linear,
             rho_infinity=implicit.rho_infinity if isinstance(implicit, VariableOrder) else jnp.zeros(()),
             snaps=jnp.asarray(begins),

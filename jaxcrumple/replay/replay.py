@@ -11,7 +11,6 @@ from jaxcrumple.model.scene import Scene
 from jaxcrumple.replay.contacts import Lists, as_listed, near_step, with_lists
 from jaxcrumple.replay.record import Record, Steps
 from jaxcrumple.replay.step import Point, RecordedStep, changed, newest, solved
-from jaxcrumple.solvers import explicit
 from jaxcrumple.solvers.bdf import step_formula
 from jaxcrumple.solvers.linear import Factor
 from jaxcrumple.state import EXPLICIT, HISTORY, IMPLICIT, State, check_state
@@ -276,7 +275,8 @@ def _step(
         return solved(scene, _implicit(step, record), past, step.x, record.linear, factor)
 
     def explicit_step() -> tuple[Point, Array, Factor | None]:
-        point = Point(*explicit.advance(scene, step.t, step.h, *old))
+        assert record.explicit is not None
+        point = Point(*record.explicit.advance(scene, step.t, step.h, *old))
         finite = jnp.isfinite(jnp.sum(point.x)) & jnp.isfinite(jnp.sum(point.v))
         return point, jnp.where(finite, 0.0, jnp.inf), factor
 
@@ -292,8 +292,9 @@ def _point(scene: Scene, past: Point, step: Steps, x: Array, record: Record) -> 
         return equations.point(scene, past, equations.unknown(scene, old.x, x))
 
     def explicit_step() -> Point:
+        assert record.explicit is not None
         near = near_step(scene, old.x, x, True)
-        return Point(*explicit.advance(near, step.t, step.h, *old))._replace(x=x)
+        return Point(*record.explicit.advance(near, step.t, step.h, *old))._replace(x=x)
 
     return _by_stage(step, record, implicit, explicit_step)
 
@@ -323,8 +324,13 @@ def _step_change(
         )
 
     def explicit_step() -> Point:
+        assert record.explicit is not None
+
+        assert record.explicit is not None
+        step_on = record.explicit.advance
+
         def advance(scene: Scene, old: Point) -> Point:
-            return Point(*explicit.advance(here(scene), step.t, step.h, *old))
+            return Point(*step_on(here(scene), step.t, step.h, *old))
 
         return eqx.filter_jvp(advance, (scene, old), (by_scene, newest(moved)))[1]
 

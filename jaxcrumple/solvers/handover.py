@@ -32,9 +32,9 @@ COLLAPSE = 0.05
 # values hand over earlier than the accelerations ask for, and the answer then differs by more than rtol.
 LOST = 0.02
 # An implicit step costs as much as this many explicit ones; one that is not longer gives way to them.
-BREAK_EVEN = 10
+BREAK_EVEN = 20
 # Explicit steps, in stability limits, before the implicit stage is tried again.
-SPELL = 200
+SPELL = 400
 
 
 class Handover(NamedTuple):
@@ -108,10 +108,20 @@ def _changed(state: State, handover: Handover) -> State:
     ended = select(explicit, state.history, kept)
     history = select(state.stage == EXPLICIT, fresh, ended)
     return eqx.tree_at(
-        lambda s: (s.stage, s.h, s.h_explicit, s.history, s.monitor, s.counters.switches, s.kept.age),
+        lambda s: (
+            s.stage,
+            s.slopes.known,
+            s.h,
+            s.h_explicit,
+            s.history,
+            s.monitor,
+            s.counters.switches,
+            s.kept.age,
+        ),
         state,
         (
             handover.stage,
+            jnp.asarray(False),
             jnp.where(explicit, state.h, handover.h),
             jnp.where(explicit, handover.h, state.h_explicit),
             history,

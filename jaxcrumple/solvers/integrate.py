@@ -11,13 +11,14 @@ from jax.typing import ArrayLike
 from jaxcrumple.model.fields import as_float, select
 from jaxcrumple.model.lanes import where_needed
 from jaxcrumple.model.scene import Scene
-from jaxcrumple.solvers import explicit
 from jaxcrumple.solvers.bdf import push
+from jaxcrumple.solvers.explicit import with_slopes
 from jaxcrumple.solvers.handover import Handover, after_explicit, after_implicit, handed_over, row, stay
 from jaxcrumple.solvers.implicit import Attempt, aligns
 from jaxcrumple.solvers.ledger import booked
 from jaxcrumple.solvers.linear import Factor
 from jaxcrumple.solvers.lists import (
+    EXPLICIT_SLACK,
     Lists,
     largest_move,
     listed,
@@ -26,6 +27,7 @@ from jaxcrumple.solvers.lists import (
     renewed,
     start_lists,
     state_lists,
+    still_ready,
     waits,
     without_places,
 )
@@ -44,7 +46,7 @@ LOG_CAPACITY = BUDGET // IMPLICIT_COST + BUDGET // EXPLICIT_LOG_EVERY + 64
 # Steps of a stage from one measurement of the stability limit to the next: it follows the folding.
 LIMIT_EVERY = 32
 # Lists of contact are made to hold for this many explicit steps.
-LOOK_AHEAD = 32
+LOOK_AHEAD = 16
 # Rounds of lists and changes of stage, without a step between, after which a call ends.
 MOST_ROUNDS = 64
 # Relative to the time, a step below this is lost to rounding.
@@ -96,7 +98,7 @@ def integrate(
     carry = _Carry(state, lists, log, factor, held, stay(state), nothing, nothing, left, state.t >= t_stop)
 
     def stages(carry: _Carry) -> _Carry:
-        carry = _renewed(scene, carry._replace(rounds=carry.rounds + 1))
+        carry = _renewed(scene, carry._replace(rounds=carry.rounds + 1), solver)
         if solver.implicit is not None:
             carry = _implicit_stages(scene, carry, t_stop, solver)
         if solver.has(EXPLICIT):
@@ -113,7 +115,7 @@ def integrate(
     return end.state, end.log
 
 
-def _renewed(scene: Scene, carry: _Carry) -> _Carry:
+def _renewed(scene: Scene, carry: _Carry, solver: Integrator) -> _Carry:
     """The loop before its next steps: lists made anew and the stability limit measured where that is due.
 
     The limit is part of the state, so that a run cut anywhere goes on with the same numbers.
@@ -121,7 +123,7 @@ def _renewed(scene: Scene, carry: _Carry) -> _Carry:
     state, lists = renewed(scene, carry.state, carry.lists)
     now, waiting = listed(scene, lists), waits(state)
     due = _limit_is_due(carry) & ~waiting
-    limit = where_needed(due, explicit.stability_limit, state.limit, now, state.x, state.t)
+    limit = where_needed(due, solver.stability_limit, state.limit, now, state.x, state.t)
     measured = state.monitor.measured | due
     state = eqx.tree_at(lambda s: (s.limit, s.monitor.measured), state, (limit, measured))
     unsound = ~_is_sound(scene, state) & ~waiting
@@ -317,58 +319,56 @@ def _with_result(state: State, failed: Array, result: Any) -> State:
 
 def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
     """Run the explicit stage for as long as it lasts."""
-    assert solver.explicit is not None
-    stages = explicit.first_stages(listed(scene, carry.lists), carry.state)
 
-    def unfinished(loop) -> Array:
-        carry, *_ = loop
+    def unfinished(carry: _Carry) -> Array:
         return _going(carry) & (carry.state.stage == EXPLICIT) & ~_interrupted(carry)
 
-    def body(loop):
-        carry, stages, fresh = loop
-        carry, stages, accepted = _explicit_step(scene, carry, t_stop, solver, stages, fresh)
-        return carry, stages, fresh & ~accepted
+    def body(carry: _Carry) -> _Carry:
+        return _explicit_step(scene, carry, t_stop, solver)
 
-    return jax.lax.while_loop(unfinished, body, (carry, stages, jnp.asarray(True)))[0]
+    known = with_slopes(listed(scene, carry.lists), carry.state)
+    carry = carry._replace(state=select(unfinished(carry), known, carry.state))
+    return jax.lax.while_loop(unfinished, body, carry)
 
 
-def _explicit_step(scene: Scene, carry: _Carry, t_stop, solver: Integrator, stages, fresh):
+def _explicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
     assert solver.explicit is not None
     state = carry.state
     cap = solver.explicit.safety * state.limit
     started = state.h_explicit > 0
     wanted = jnp.minimum(jnp.where(started, jnp.minimum(state.h_explicit, cap), cap), solver.max_step)
-    if scene.contact is not None:
-        wanted = wanted * largest_move(scene, carry.lists, state.x, state.x + wanted * state.v)
     if scene.contact is None:
-        return _explicit_attempt(scene, carry, t_stop, solver, wanted, stages, fresh)
+        return _explicit_attempt(scene, carry, t_stop, solver, wanted)
+    spare = EXPLICIT_SLACK * scene.contact.range
+    wanted = wanted * largest_move(scene, carry.lists, state.x, state.x + wanted * state.v)
+    following = state.x + wanted * (state.v + 0.5 * wanted * state.slopes.acceleration)
     ahead = state.x + LOOK_AHEAD * wanted * state.v
     ahead = state.x + largest_move(scene, carry.lists, state.x, ahead) * (ahead - state.x)
 
-    state, lists, ready = ready_for(scene, state, carry.lists, ahead)
+    state, lists, ready = jax.lax.cond(
+        still_ready(scene, state, carry.lists, following),
+        lambda: (state, carry.lists, jnp.asarray(True)),
+        lambda: ready_for(scene, state, carry.lists, ahead, spare),
+    )
 
-    def attempt(carry: _Carry):
-        return _explicit_attempt(scene, carry, t_stop, solver, wanted, stages, fresh)
+    def attempt(carry: _Carry) -> _Carry:
+        return _explicit_attempt(scene, carry, t_stop, solver, wanted)
 
-    def wait(carry: _Carry):
-        return carry, stages, jnp.asarray(False)
-
-    return jax.lax.cond(ready, attempt, wait, carry._replace(state=state, lists=lists))
+    return jax.lax.cond(ready, attempt, lambda carry: carry, carry._replace(state=state, lists=lists))
 
 
-def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted, stages, fresh):
+def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted) -> _Carry:
     assert solver.explicit is not None
-    scene, state = listed(scene, carry.lists), carry.state
+    scene, state, order = listed(scene, carry.lists), carry.state, solver.explicit.order
     cap = solver.explicit.safety * state.limit
     h, lands = _clip_step(state.t, wanted, t_stop)
-    tried = explicit.attempt(scene, state, h, cap, stages, fresh, solver.explicit)
-    stages = select(tried.accepted, tried.stages, stages)
+    tried = solver.explicit.attempt(scene, state, h, cap)
     moved = eqx.tree_at(
-        lambda s: (s.t, s.x, s.v, s.monitor),
+        lambda s: (s.t, s.x, s.v, s.slopes, s.monitor),
         state,
         (
-            jnp.where(lands, t_stop, state.t + h), tried.x, tried.v,
-            observe(scene, state.monitor, state.stage, tried.acceleration, h, solver.switch),
+            jnp.where(lands, t_stop, state.t + h), tried.x, tried.v, tried.slopes,
+            observe(scene, state.monitor, state.stage, tried.slopes.acceleration, h, solver.switch),
         ),
     )  # fmt: skip
     if state.p is not None:
@@ -381,9 +381,8 @@ def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, w
     moved = _given_up(moved, ~tried.accepted & _is_tiny(next_h, state.t), tried.cause)
     sampled = tried.accepted & (counters.steps[EXPLICIT] % EXPLICIT_LOG_EVERY == 0)
     log = jax.lax.cond(
-        sampled, lambda: append(carry.log, row(scene, moved, STEP, h, 4, tried.error)), lambda: carry.log
+        sampled, lambda: append(carry.log, row(scene, moved, STEP, h, order, tried.error)), lambda: carry.log
     )
-    log = follow(log, moved.x, moved.t, h, state.stage, 4, tried.accepted)
+    log = follow(log, moved.x, moved.t, h, state.stage, order, tried.accepted)
     handover = after_explicit(scene, moved, tried.accepted, cap, solver)
-    carry = _tried(carry, moved, log, handover, EXPLICIT_COST, tried.accepted, lands)
-    return carry, stages, tried.accepted
+    return _tried(carry, moved, log, handover, EXPLICIT_COST, tried.accepted, lands)

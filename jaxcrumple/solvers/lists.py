@@ -27,6 +27,8 @@ STRIDE, UNKNOWN = 1.0, 0.25
 SEVERAL, WAY, ROOM, SLACK, MOST_SLACK, LOOSE = 4.0, 0.25, 1.2, 0.05, 0.25, 2.0
 # Ranges that a list of sites reaches for the longest step where something is near.
 LONGEST = 1.01 * (MOST_SLACK + 0.5 * ROOM * STRIDE)
+# Ranges that an explicit step may differ from its prediction, and that lists for many of them have to spare.
+NEXT_SLACK, EXPLICIT_SLACK = 0.01, 0.1
 # Reach of a list of candidates: ranges, and steps like the next one; of the latter FEWEST at least, and more
 # only up to FURTHEST ranges, or as far as a flat sheet's neighbours do not appear.
 REACH, STEPS, FEWEST, FURTHEST = 0.35, 16.0, 3.0, 2.0
@@ -170,6 +172,16 @@ def ready_for(
     return state, lists, ready
 
 
+def still_ready(scene: Scene, state: State, lists: Lists | None, ahead: Array) -> Array:
+    """Whether the lists hold for one more step from the state, to `ahead` (n, 3)."""
+    contact, listing = listed(scene, lists).contact, state.listing
+    assert contact is not None and listing is not None and lists is not None
+    spare = NEXT_SLACK * contact.range
+    holds = listing.candidates.covers(ahead, spare) & listing.near.covers(ahead, spare)
+    holds = holds & ~jnp.any(lists.near.overflow) & _made(state_lists(state, lists))
+    return holds & (contact.sharpest(scene.bending.hinges(state.x).theta) < DUE_TURN)
+
+
 def ready_to_restore(scene: Scene, state: State, lists: Lists | None) -> tuple[Lists, Array]:
     """The same for making the factor of the last tangent again, which changes nothing else."""
     assert scene.contact is not None and lists is not None
@@ -190,8 +202,9 @@ def _have_places(scene: Scene, lists: Lists) -> Array:
     return jnp.asarray(True) if cross is None else cross.placed()
 
 
-def _made(lists: Lists) -> Array:
+def _made(lists: Lists | None) -> Array:
     """Whether the lists are those that must be made."""
+    assert lists is not None
     return lists.candidates.around.equals(lists.wide) & lists.near.around.equals(lists.close)
 
 

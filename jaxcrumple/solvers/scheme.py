@@ -7,13 +7,17 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxcrumple.model.fields import as_float
+from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.choice import choose_linear_solver
-from jaxcrumple.solvers.explicit import Explicit
+from jaxcrumple.solvers.explicit import AbstractExplicit
 from jaxcrumple.solvers.implicit import AbstractImplicit
 from jaxcrumple.solvers.linear import AbstractLinearSolver
 from jaxcrumple.solvers.pair import BDFPair
+from jaxcrumple.solvers.runge_kutta import RungeKutta
+from jaxcrumple.solvers.stability import fastest
 from jaxcrumple.solvers.switch import Switch
 from jaxcrumple.solvers.variable_order import VariableOrder
+from jaxcrumple.solvers.verlet import Verlet
 from jaxcrumple.state import EXPLICIT, IMPLICIT, QUASISTATIC
 
 Scheme = Literal["hybrid", "dynamic", "alternating", "quasistatic", "explicit", "paper"]
@@ -40,7 +44,7 @@ class Integrator(eqx.Module):
 
     stages: tuple[int, ...] = eqx.field(static=True)
     implicit: AbstractImplicit | None
-    explicit: Explicit | None
+    explicit: AbstractExplicit | None
     switch: Switch
     first_step: Array = eqx.field(default=1e-4, converter=as_float)
     restart_steps: Array = eqx.field(default=10.0, converter=as_float)
@@ -49,6 +53,12 @@ class Integrator(eqx.Module):
     def has(self, stage: int) -> bool:
         """Whether the scheme may use a stage."""
         return stage in self.stages
+
+    def stability_limit(self, scene: Scene, x: Array, t: Array) -> Array:
+        """Largest stable explicit step in s at positions `x` (n, 3) and time `t`: the scale of the shortest
+        steps also where the scheme has no explicit ones."""
+        method = Verlet if self.explicit is None else type(self.explicit)
+        return method.stable(fastest(scene, x, t))
 
     @property
     def one_matrix(self) -> bool:
@@ -110,7 +120,8 @@ def integrator(
         linear = "block-cg" if scheme == "paper" else "auto"
     solver = choose_linear_solver(linear)
     tolerance, rho = jnp.asarray(float(rtol)), jnp.asarray(float(rho_infinity))
-    explicit, switch = Explicit(tolerance), switch or switch_of(scheme, rtol)
+    switch = switch or switch_of(scheme, rtol)
+    explicit = RungeKutta(tolerance) if scheme in ("explicit", "paper") else Verlet(tolerance)
     if scheme == "paper":
         return Integrator(
             (QUASISTATIC, EXPLICIT), BDFPair(tolerance, solver), explicit, switch, max_step=max_step
