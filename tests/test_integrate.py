@@ -124,7 +124,7 @@ def test_absent_terms_leave_no_operation():
 
 def test_absent_stages_leave_no_operation():
     scene, x = setup().scene, setup().x
-    inertia, pair, explicit = ("two_step",), ("pair.py",), ("first_stages", "_explicit_stage")
+    inertia, pair, explicit = ("two_step",), ("pair.py",), ("explicit.py", "_explicit_stage")
     absent = {
         "hybrid": pair,
         "alternating": pair,
