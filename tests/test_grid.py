@@ -113,6 +113,7 @@ def test_too_little_room_is_told():
     assert int(candidates.count) > 100
 
 
+@pytest.mark.slow
 def test_when_lists_are_made_changes_no_bit(monkeypatch):
     scene, state = moving_layers(2.0)
     solver = jc.integrator(1e-2, scheme="explicit")

@@ -119,6 +119,7 @@ def test_two_layers_under_a_thousand_weights_bear_them_by_pressure():
     assert 0.8 * gap < np.median(end[upper, 2]) - np.median(end[~upper, 2]) < 1.1 * gap
 
 
+@pytest.mark.slow
 def test_a_sheet_that_relaxes_upon_itself_comes_to_rest_where_a_run_does():
     mesh = strip(2.0 * SIGMA)
     x, upper, load = folded(mesh, 2.0 * SIGMA), layer_of(mesh) == 1, 100.0 * G
@@ -158,6 +159,7 @@ def test_a_fold_pressed_to_its_range_opens_again():
     assert np.ptp(opened.x[-1][:, 2]) > 2.0 * np.ptp(pressed.x[-1][:, 2])
 
 
+@pytest.mark.slow
 def test_a_fast_fold_does_not_pass_through_itself():
     mesh = strip(4.0 * SIGMA)
     x = folded(mesh, 4.0 * SIGMA)

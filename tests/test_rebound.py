@@ -115,6 +115,7 @@ def loss_of_bounces(scheme: str, rtol: float) -> np.ndarray:
     return (total[0] - total[tops]) / energy
 
 
+@pytest.mark.slow
 def test_bounces_lose_what_the_integrator_predicts():
     """Explicit steps, here far below their tolerance, lose the same little in each bounce, and implicit ones
     a share that is proportional to their tolerance."""

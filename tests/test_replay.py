@@ -71,7 +71,7 @@ def confined():
     return setup.scene, setup.x
 
 
-@pytest.fixture(scope="module", params=RUNS)
+@pytest.fixture(scope="module", params=[pytest.param("quasistatic", marks=pytest.mark.slow), "hybrid"])
 def run(request):
     """A scene, and a run of it that is recorded."""
     name, times, stages = RUNS[request.param]
