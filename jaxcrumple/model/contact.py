@@ -98,15 +98,11 @@ class SelfContact(NamedTuple):
       rejected; "barrier" becomes infinite before sheets touch, and has four times as many sites.
     - `range`: $\\sigma$ in m, by default $h_{eff}$.
     - `level`: refinement, by default the lowest whose sites are no further apart than the range.
-    - `stiffness`: $k_s$ of (26) over that of the sheet, by default 1: layers on each other are then as stiff
-      as the material across them, and a coarse mesh vibrates slower by far. With 0.03 they still bear 10 MPa,
-      and explicit steps get longer.
     """
 
     potential: Potential = "penalty"
     range: float | None = None
     level: int | None = None
-    stiffness: float | None = None
 
 
 class Contact(eqx.Module):
@@ -307,16 +303,13 @@ def _is_number(value: Any) -> bool:
 def build_contact(
     mesh: Mesh, constants: ModelConstants, options: SelfContact, like: Contact | None = None
 ) -> Contact:
-    """Contact of a sheet; its stiffness is in units of the mean spring constant. Its refinement and lists are
-    those of `like`, where there is such.
+    """Contact of a sheet; its stiffness is the mean spring constant. Its refinement and lists are those of
+    `like`, where there is such.
 
-    **Raises:** ValueError for an unknown potential, a range or a stiffness that is not positive or a level
-    below 0, or a range that JAX traces where nothing tells the level.
+    **Raises:** ValueError for an unknown potential, a range that is not positive or a level below 0, or a
+    range that JAX traces where nothing tells the level.
     """
     sigma = constants.sigma if options.range is None else options.range
-    ratio = 1.0 if options.stiffness is None else options.stiffness
-    if is_known(ratio) and not (_is_number(ratio) and np.isfinite(ratio) and ratio > 0):
-        raise ValueError(f"contact stiffness = {ratio!r} must be positive; leave it out for 1.")
     if options.potential not in get_args(Potential):
         names = ", ".join(get_args(Potential))
         raise ValueError(f"contact potential {options.potential!r} is unknown; choose one of {names}.")
@@ -346,7 +339,7 @@ def build_contact(
         weights=weights,
         share=share,
         density=jnp.asarray(mesh.face_area / (np.sqrt(3.0) / 2.0 * sigma**2)),
-        stiffness=as_float(ratio * constants.ks.mean()),
+        stiffness=as_float(constants.ks.mean()),
         range=as_float(sigma),
         core=core,
         calm=as_float(jnp.maximum(least, LEAST * sigma)),

@@ -53,7 +53,7 @@ def custom(nodes: int = 1000, seed: int = 0, *, material: Material | None = None
     touching = (
         None
         if asked.contact is None
-        else SelfContact(asked.contact, asked.contact_range, asked.contact_level, asked.contact_stiffness)
+        else SelfContact(asked.contact, asked.contact_range, asked.contact_level)
     )
     scene = scene_of(
         mesh,

@@ -241,7 +241,6 @@ class CustomOptions(Table):
     contact: Potential | None = "penalty"
     contact_range: Annotated[float | None, LENGTH] = Field(None, gt=0)
     contact_level: int | None = Field(None, ge=0, le=200)
-    contact_stiffness: float | None = Field(None, gt=0, allow_inf_nan=False)
 
     @model_validator(mode="after")
     def _of_a_contact(self) -> "CustomOptions":
@@ -249,13 +248,9 @@ class CustomOptions(Table):
         return self
 
 
-# Options of a contact.
-CONTACT = ("contact_range", "contact_level", "contact_stiffness")
-
-
 def refuse_idle_contact(options: Any) -> None:
     """Refuse options of a contact that there is none of."""
-    given = [name for name in CONTACT if getattr(options, name) is not None]
+    given = [name for name in ("contact_range", "contact_level") if getattr(options, name) is not None]
     if options.contact is None and given:
         raise ValueError(f"{given[0]} is of no use to a phantom sheet; leave it or contact=none out")
 

@@ -27,7 +27,6 @@ class SheetModel(SceneOptions):
     contact: Potential | None = "penalty"
     contact_range: Annotated[float | None, LENGTH] = Field(None, gt=0, allow_inf_nan=False)
     contact_level: int | None = Field(None, ge=0, le=200)
-    contact_stiffness: float | None = Field(None, gt=0, allow_inf_nan=False)
 
     @model_validator(mode="after")
     def _of_a_contact(self) -> Self:

@@ -26,8 +26,7 @@ class SheetOptions:
 
     `imperfection`: largest height in m of a smooth, stress-free initial shape; `sweeps`: Lloyd sweeps of
     the random mesh; `damping`: "central" or "paper"; `contact`: "penalty", "barrier", or None for a phantom
-    sheet, which passes through itself, with `contact_range`, `contact_level` and `contact_stiffness` as in
-    `SelfContact`;
+    sheet, which passes through itself, with `contact_range` and `contact_level` as in `SelfContact`;
     `material`: default `Material()`.
     """
 
@@ -37,7 +36,6 @@ class SheetOptions:
     contact: Potential | None = "penalty"
     contact_range: float | None = None
     contact_level: int | None = None
-    contact_stiffness: float | None = None
     material: Material = field(default_factory=Material)
 
     def square(self, size: float, nodes: int, seed: int) -> Mesh:
@@ -77,9 +75,7 @@ class SheetOptions:
         """The sheet between its walls, starting at positions `x` (n, 3) in m, by default its rest shape."""
         contact = None
         if self.contact is not None:
-            contact = SelfContact(
-                self.contact, self.contact_range, self.contact_level, self.contact_stiffness
-            )
+            contact = SelfContact(self.contact, self.contact_range, self.contact_level)
         scene = sheet(
             mesh,
             self.material,
