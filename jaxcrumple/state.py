@@ -238,7 +238,7 @@ def initial_state(
     """State at t = 0 with positions `x` (n, 3) in m and velocities `v` (n, 3) in m/s (default 0).
 
     `window` is the number of steps the acceleration monitor averages; `ledger`: whether runs from the state
-    keep the work ledger (`Work`), which costs little in implicit steps and a third of an explicit one.
+    keep the work ledger (`Work`), which costs little in implicit steps and two forces in explicit ones.
 
     **Raises:** ValueError for positions or velocities of another shape or not finite, or an empty window.
     """

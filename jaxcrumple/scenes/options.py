@@ -59,7 +59,7 @@ class CylindricalOptions(SheetModel):
     size: Metre = Field(0.1, gt=0)
     radius: Metre = Field(0.017, gt=0)
     height: Metre = Field(0.03, gt=0)
-    compress: Second = Field(2.0, gt=0)
+    compress: Second = Field(AXIAL.compress, gt=0)
 
 
 class AxialOptions(CylindricalOptions):

@@ -2,7 +2,7 @@
 them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -37,6 +37,12 @@ class SheetOptions:
     contact_range: float | None = None
     contact_level: int | None = None
     material: Material = field(default_factory=Material)
+
+    def reaching(self, thicknesses: float) -> "SheetOptions":
+        """The same, with a range of self-contact in thicknesses where there is contact and none is given."""
+        if self.contact is None or self.contact_range is not None:
+            return self
+        return replace(self, contact_range=thicknesses * self.thickness)
 
     def square(self, size: float, nodes: int, seed: int) -> Mesh:
         """A square of edge `size` in m around the origin of the plane z = 0, with its imperfection."""
