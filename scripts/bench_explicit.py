@@ -23,7 +23,7 @@ from jaxcrumple.state import EXPLICIT, State
 
 METHODS = {"RK 4(3)": RungeKutta, "Verlet": Verlet}
 # Time of a compression in s, that until a state is taken, and that of the stretch; how often it is run.
-COMPRESS, BEFORE, STRETCH, ROUNDS = 0.5, 0.015, 5e-4, 3
+COMPRESS, BEFORE, STRETCH, ROUNDS = 0.5, 0.015, 2e-3, 3
 
 
 def explicit_by(method: str, max_step: float = np.inf):
