@@ -183,11 +183,6 @@ class Slopes(NamedTuple):
     known: Array
 
 
-def no_slopes(x: Array, p: Array | None) -> Slopes:
-    """Slopes that nobody knows, at positions `x` (n, 3) and rest curvatures `p` (h,)."""
-    return Slopes(jnp.zeros_like(x), None if p is None else jnp.zeros_like(p), jnp.asarray(False))
-
-
 class Listing(eqx.Module):
     """What the lists of contact are made for, so that a saved state finds the same ones.
 
@@ -209,9 +204,9 @@ class State(eqx.Module):
     `t` s; `x` (n, 3) m; `v` (n, 3) m/s; `p` (h,) rest curvature or None in an elastic scene; `h`,
     `h_explicit`: next step of the implicit stages and of the explicit one in s; `limit`: stability
     limit of explicit steps in s, measured now and then; `stage`: `QUASISTATIC`, `IMPLICIT`, `EXPLICIT`,
-    or -1 for that in which the scheme starts; `slopes`: what explicit steps hand on; `listing`: None without
-    contact; `kept`: where the tangent
-    was taken with which the last implicit step ended; `work`: the work ledger, None where none is kept.
+    or -1 for that in which the scheme starts; `slopes`: what explicit steps hand on; `listing`: None
+    without contact; `kept`: where the tangent was taken with which the last implicit step ended; `work`: the
+    work ledger, None where none is kept.
     """
 
     t: Array
@@ -251,7 +246,7 @@ def initial_state(
     # Explicit types: weakly typed leaves would make the second call of a program compile again.
     zero, nought = jnp.asarray(0, int), jnp.asarray(0.0, float)
     p = None if scene.plasticity is None else scene.bending.rest_curvature
-    history, kept, listing = _memory(scene, x, v, p)
+    slopes, history, kept, listing = _memory(scene, x, v, p)
     return State(
         t=nought,
         x=x,
@@ -261,7 +256,7 @@ def initial_state(
         h_explicit=nought,
         limit=nought,
         stage=jnp.asarray(-1, int),
-        slopes=no_slopes(x, p),
+        slopes=slopes,
         listing=listing,
         history=history,
         kept=kept,
@@ -279,11 +274,12 @@ def fresh_monitor(window: int) -> Monitor:
 
 def _memory(
     scene: Scene, x: Array, v: Array, p: Array | None
-) -> tuple[History, Linearization, Listing | None]:
+) -> tuple[Slopes, History, Linearization, Listing | None]:
     """What a state knows that begins here."""
+    slopes = Slopes(jnp.zeros_like(x), None if p is None else jnp.zeros_like(p), jnp.asarray(False))
     history = restart_history(x, v, p)
     listing = None if scene.contact is None else first_listing(scene.contact, x)
-    return history, _no_linearization(scene, history), listing
+    return slopes, history, _no_linearization(scene, history), listing
 
 
 def _no_linearization(scene: Scene, history: History) -> Linearization:
@@ -305,15 +301,9 @@ def restarted(scene: Scene, state: State, x: Array, v: Array) -> State:
     """The state at other positions `x` (n, 3) in m and velocities `v` (n, 3) in m/s: it remembers nothing of
     others but its stage and its steps."""
     return eqx.tree_at(
-        lambda s: (s.x, s.v, s.slopes, s.monitor, s.history, s.kept, s.listing),
+        lambda s: (s.x, s.v, s.slopes, s.history, s.kept, s.listing, s.monitor),
         state,
-        (
-            x,
-            v,
-            no_slopes(x, state.p),
-            fresh_monitor(state.monitor.ratios.shape[0]),
-            *_memory(scene, x, v, state.p),
-        ),
+        (x, v, *_memory(scene, x, v, state.p), fresh_monitor(state.monitor.ratios.shape[0])),
         is_leaf=lambda leaf: leaf is None,
     )
 

@@ -33,10 +33,8 @@ def crosses(contact: "Contact", start: Array, end: Array) -> Array:
     first, second = contact.faces[near.triangles[:, 0]], contact.faces[near.triangles[:, 1]]
     moved = jnp.maximum(motion(near.around.x, start), motion(near.around.x, end))
     closest = near.distance - jnp.max(moved[first], axis=1) - jnp.max(moved[second], axis=1)
-    doubtful = (closest <= 0) & (jnp.arange(first.shape[0]) < near.pair_count)
-    places, count = compacted(
-        lambda at: doubtful[at][:, None], near.pair_count, 1, first.shape[0], first.shape[0]
-    )
+    room = first.shape[0]
+    places, count = compacted(lambda at: (closest[at] <= 0)[:, None], near.pair_count, 1, room, room)
 
     def add(touched: Array, arguments: tuple[Array, ...], at: Array, held: Array) -> Array:
         start, way, first, second, places = arguments
@@ -45,7 +43,7 @@ def crosses(contact: "Contact", start: Array, end: Array) -> Array:
         return touched | jnp.any(touches(parts, steps, shared_parts(first, second), contact.range, held))
 
     arguments = (start, end - start, first, second, places)
-    return accumulate(add, jnp.asarray(False), arguments, count, first.shape[0], DOUBTED)
+    return accumulate(add, jnp.asarray(False), arguments, count, room, DOUBTED)
 
 
 Corners = tuple[tuple[Vec, ...], tuple[Vec, ...]]

@@ -325,8 +325,6 @@ def _step_change(
 
     def explicit_step() -> Point:
         assert record.explicit is not None
-
-        assert record.explicit is not None
         step_on = record.explicit.advance
 
         def advance(scene: Scene, old: Point) -> Point:

@@ -67,7 +67,6 @@ class AxialOptions(CylindricalOptions):
 
     cycles: int = Field(5, ge=1, le=1000)
     height: Metre = Field(0.027, gt=0)
-    compress: Second = Field(AXIAL.compress, gt=0)
     roll: Second = Field(AXIAL.roll, gt=0)
     gap: Metre = Field(2e-3, gt=0)
     open: Second = Field(AXIAL.open, gt=0)

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
+from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.lanes import where_needed
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.lists import passes
@@ -53,8 +54,8 @@ class AbstractExplicit(eqx.Module):
     - `safety`: share of the estimated stability limit that a step may take.
     """
 
-    rtol: eqx.AbstractVar[Array]
-    safety: eqx.AbstractVar[Array]
+    rtol: Array
+    safety: Array = eqx.field(default=0.8, converter=as_float)
     # Order of the method, and the power of the step with which its estimate of the local error falls.
     order: eqx.AbstractClassVar[int]
     error_order: eqx.AbstractClassVar[int]
@@ -109,11 +110,10 @@ class AbstractExplicit(eqx.Module):
         return jnp.asarray(keep), jnp.asarray(end - start)
 
 
-def with_slopes(scene: Scene, state: State) -> State:
-    """The state with its slopes, computed where no step handed them on."""
-    slopes = where_needed(
-        ~state.slopes.known, slopes_at, state.slopes, scene, state.x, state.v, state.p, state.t
-    )
+def with_slopes(scene: Scene, state: State, wanted: Array | bool = True) -> State:
+    """The state with its slopes where they are `wanted`, computed if no step handed them on."""
+    due = wanted & ~state.slopes.known
+    slopes = where_needed(due, slopes_at, state.slopes, scene, state.x, state.v, state.p, state.t)
     return eqx.tree_at(lambda s: s.slopes, state, slopes)
 
 

@@ -326,8 +326,7 @@ def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrat
     def body(carry: _Carry) -> _Carry:
         return _explicit_step(scene, carry, t_stop, solver)
 
-    known = with_slopes(listed(scene, carry.lists), carry.state)
-    carry = carry._replace(state=select(unfinished(carry), known, carry.state))
+    carry = carry._replace(state=with_slopes(listed(scene, carry.lists), carry.state, unfinished(carry)))
     return jax.lax.while_loop(unfinished, body, carry)
 
 
@@ -342,19 +341,20 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
     spare = EXPLICIT_SLACK * scene.contact.range
     wanted = wanted * largest_move(scene, carry.lists, state.x, state.x + wanted * state.v)
     following = state.x + wanted * (state.v + 0.5 * wanted * state.slopes.acceleration)
-    ahead = state.x + LOOK_AHEAD * wanted * state.v
-    ahead = state.x + largest_move(scene, carry.lists, state.x, ahead) * (ahead - state.x)
 
-    state, lists, ready = jax.lax.cond(
-        still_ready(scene, state, carry.lists, following),
-        lambda: (state, carry.lists, jnp.asarray(True)),
-        lambda: ready_for(scene, state, carry.lists, ahead, spare),
-    )
+    def looked_ahead() -> tuple[State, Lists | None, Array]:
+        ahead = state.x + LOOK_AHEAD * wanted * state.v
+        ahead = state.x + largest_move(scene, carry.lists, state.x, ahead) * (ahead - state.x)
+        return ready_for(scene, state, carry.lists, ahead, spare)
+
+    holds = still_ready(scene, state, carry.lists, following)
+    held = (state, carry.lists, jnp.asarray(True))
+    after, lists, ready = jax.lax.cond(holds, lambda: held, looked_ahead)
 
     def attempt(carry: _Carry) -> _Carry:
         return _explicit_attempt(scene, carry, t_stop, solver, wanted)
 
-    return jax.lax.cond(ready, attempt, lambda carry: carry, carry._replace(state=state, lists=lists))
+    return jax.lax.cond(ready, attempt, lambda carry: carry, carry._replace(state=after, lists=lists))
 
 
 def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted) -> _Carry:

@@ -176,9 +176,10 @@ def still_ready(scene: Scene, state: State, lists: Lists | None, ahead: Array) -
     """Whether the lists hold for one more step from the state, to `ahead` (n, 3)."""
     contact, listing = listed(scene, lists).contact, state.listing
     assert contact is not None and listing is not None and lists is not None
+    lists = lists._replace(wide=listing.candidates, close=listing.near)
     spare = NEXT_SLACK * contact.range
     holds = listing.candidates.covers(ahead, spare) & listing.near.covers(ahead, spare)
-    holds = holds & ~jnp.any(lists.near.overflow) & _made(state_lists(state, lists))
+    holds = holds & ~jnp.any(lists.near.overflow) & _made(lists)
     return holds & (contact.sharpest(scene.bending.hinges(state.x).theta) < DUE_TURN)
 
 
@@ -202,9 +203,8 @@ def _have_places(scene: Scene, lists: Lists) -> Array:
     return jnp.asarray(True) if cross is None else cross.placed()
 
 
-def _made(lists: Lists | None) -> Array:
+def _made(lists: Lists) -> Array:
     """Whether the lists are those that must be made."""
-    assert lists is not None
     return lists.candidates.around.equals(lists.wide) & lists.near.around.equals(lists.close)
 
 

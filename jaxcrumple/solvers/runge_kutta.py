@@ -3,13 +3,11 @@
 from typing import ClassVar
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.explicit import AbstractExplicit, Tried
 from jaxcrumple.solvers.stability import Fastest
@@ -60,8 +58,6 @@ _SOLVER = RK43()
 class RungeKutta(AbstractExplicit):
     """Order 4, four forces a step: where errors are to be far below what stability asks for."""
 
-    rtol: Array
-    safety: Array = eqx.field(default=0.8, converter=as_float)
     order: ClassVar[int] = 4
     error_order: ClassVar[int] = 4
 

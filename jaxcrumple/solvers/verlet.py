@@ -2,11 +2,9 @@
 
 from typing import ClassVar
 
-import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.geometry import curvature
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.explicit import AbstractExplicit, Tried, slopes_at
@@ -24,8 +22,6 @@ class Verlet(AbstractExplicit):
     velocities follow, and of p.
     """
 
-    rtol: Array
-    safety: Array = eqx.field(default=0.8, converter=as_float)
     order: ClassVar[int] = 2
     error_order: ClassVar[int] = 3
 
