@@ -86,8 +86,12 @@ def brute_force(
         )
     # Sites of several triangles at one place are one site.
     _, first, place = np.unique(np.round(rest / 1e-9), axis=0, return_index=True, return_inverse=True)
-    area = np.bincount(place.reshape(-1), area)
+    area, times = np.bincount(place.reshape(-1), area), np.bincount(place.reshape(-1))
     matrix, rest = matrix[first], rest[first]
+    # On the rim of the strip they stand for half of what is inside, and less at a corner.
+    rim = np.any(np.abs(np.abs(rest[:, :2]) - mesh.vertices[:, :2].max(axis=0)) < 1e-9, axis=1)
+    node = np.max(matrix, axis=1) > 1.0 - 1e-9
+    area *= np.where(rim, np.where(node, 6.0 / times, 2.0), 1.0)
     y = matrix @ x
     i, j = np.triu_indices(len(y), 1)
     r = y[i] - y[j]

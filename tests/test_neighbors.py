@@ -79,14 +79,15 @@ def test_the_list_holds_the_sites_that_may_meet_and_no_others(level, roughness, 
 
 def layer_energy(mesh, x, contact):
     """Energy of sites of the lower layer with those of the upper one."""
-    weights, share, sigma = np.asarray(contact.weights), np.asarray(contact.share), float(contact.range)
+    weights, share, place = (np.asarray(a) for a in (contact.weights, contact.share, contact.place))
+    sigma = float(contact.range)
     upper = layer_of(mesh, (2, 2))[mesh.faces]
     sides = [np.flatnonzero(np.all(upper == side, axis=1)) for side in (0, 1)]
     sites, rest = (
         [np.einsum("sk,fki->fsi", weights, y[mesh.faces[side]]).reshape(-1, 3) for side in sides]
         for y in (x, mesh.vertices)
     )
-    strength = [np.outer(np.asarray(contact.density)[side], share).reshape(-1) for side in sides]
+    strength = [(np.asarray(contact.density)[side][:, place] * share).reshape(-1) for side in sides]
     met = cKDTree(sites[0]).sparse_distance_matrix(cKDTree(sites[1]), sigma, output_type="coo_matrix")
     apart = np.linalg.norm(rest[0][met.row] - rest[1][met.col], axis=1) >= EXCLUSION * sigma
     parts = strength[0][met.row] * strength[1][met.col] * np.exp(sigma / (met.data - sigma))

@@ -47,7 +47,7 @@ def layers():
         (
             jnp.where(own, scene.membrane.stiffness, 0.0),
             jnp.zeros_like(scene.bending.stiffness),
-            jnp.where(whole, scene.contact.density, 0.0),
+            jnp.where(whole[:, None], scene.contact.density, 0.0),
         ),
     )
     return scene, x, upper

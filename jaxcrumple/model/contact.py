@@ -27,6 +27,7 @@ from jaxcrumple.model.fans import Fans, build_fans
 from jaxcrumple.model.fields import as_float, is_known
 from jaxcrumple.model.geometry import add, dot, gather, scale
 from jaxcrumple.model.near import Candidates, Near, no_candidates, no_neighbors, split
+from jaxcrumple.model.sites import build_sites, site_density
 from jaxcrumple.model.stencil import upper_pairs
 
 Potential = Literal["penalty", "barrier"]
@@ -44,8 +45,6 @@ BARRIER_SPACING = 0.5
 CORE = 1.05 * 2.0 / np.sqrt(3.0)
 # The largest core in ranges: what is left is where the barrier rises.
 WIDEST_CORE = 0.75
-# Room for motion that a bound of the stiffness leaves: distances are taken to be this much of what they are.
-CLOSER = 0.98
 # Share of the lowest triangle's height that separates triangles without a common node in a flat sheet.
 CALM = 0.8
 # The reach that this allows in ranges, at least.
@@ -73,24 +72,6 @@ def pair_energy(distance: Array, stiffness: Array, sigma: Array, core: Array | f
     return jnp.where(inside, stiffness * sigma * sigma * jnp.exp(-width / gap) * growth, 0.0)
 
 
-class Sites(NamedTuple):
-    """The lattice of sites on every triangle: barycentric `weights` (s, 3) and `share` (s,) of its area."""
-
-    weights: np.ndarray
-    share: np.ndarray
-
-
-def build_sites(level: int) -> Sites:
-    """Sites of a refinement `level`: as many on an edge between its ends (Fig. 2), corners included."""
-    parts = level + 1
-    i, j = np.array([(i, j) for i in range(parts + 1) for j in range(parts + 1 - i)]).T
-    corners = np.stack([i, j, parts - i - j], axis=1)
-    # A third of each of the small triangles around a site, of which a corner has 1, a side 3, the inside 6.
-    zeros = np.sum(corners == 0, axis=1)
-    share = np.array([6, 3, 1])[zeros] / (3.0 * parts**2)
-    return Sites(corners / parts, share)
-
-
 class SelfContact(NamedTuple):
     """Options of a sheet's self-contact.
 
@@ -109,7 +90,7 @@ class Contact(eqx.Module):
     """Repulsion between sites of one sheet.
 
     - `faces` (f, 3); `rest` (n, 3) m: rest positions, which decide who never interacts.
-    - `weights` (s, 3), `share` (s,): `Sites`; `density` (f,): area of a triangle over $a_0$.
+    - `weights` (s, 3), `share` (s,), `place` (s,): `Sites`; `density` (f, 7): `site_density`.
     - `stiffness` $k_s$ in N/m, `range` $\\sigma$ in m, `core` m or None.
     - `calm` m: reach of lists in which neighbours in a flat sheet do not appear.
     - `fans`: triangles that share a node, and the hinges between them.
@@ -121,6 +102,7 @@ class Contact(eqx.Module):
     rest: Array
     weights: Array
     share: Array
+    place: Array
     density: Array
     stiffness: Array = eqx.field(converter=as_float)
     range: Array = eqx.field(converter=as_float)
@@ -180,18 +162,6 @@ class Contact(eqx.Module):
         cross = jnp.zeros((self.near.triangles.shape[0], 9, 9), x.dtype)
         return self._sum(x, add, (own, cross, jnp.zeros(x.shape[0], x.dtype)))
 
-    def stiffness_bound(self, x: Array) -> Array:
-        """Numbers (n,) in N/m whose matrix bounds the Hessian, also a little closer than at `x`."""
-
-        def add(total: Array, contact: "Contact", x: Array, pairs: "_Pairs") -> Array:
-            _, distance = _separation(pairs, x)
-            closer = contact._closer(distance)
-            most = jnp.maximum(jnp.abs(contact._stiffness(closer)), jnp.abs(contact._slope(closer) / closer))
-            parts = 2.0 * jnp.abs(pairs.weights) * (pairs.strength * most)[:, None]
-            return total.at[pairs.nodes].add(parts)
-
-        return self._sum(x, add, jnp.zeros(x.shape[0], x.dtype))
-
     @eqx.filter_jit
     def gaps(self, x: Array) -> tuple[Array, Array]:
         """Smallest distance in m of two interacting sites (infinite if none), and how many there are."""
@@ -199,11 +169,6 @@ class Contact(eqx.Module):
         _, distance = _separation(pairs, x)
         active = (pairs.strength > 0) & (distance < self.range)
         return jnp.min(jnp.where(active, distance, jnp.inf)), jnp.sum(active)
-
-    def _closer(self, distance: Array) -> Array:
-        """What motion may leave of distances: no less than halfway to where a barrier is infinite."""
-        closer = CLOSER * distance
-        return closer if self.core is None else jnp.maximum(closer, 0.5 * (self.core + distance))
 
     def _potential(self, distance: Array) -> Array:
         return pair_energy(distance, self.stiffness, self.range, self.core)
@@ -228,13 +193,12 @@ class Contact(eqx.Module):
         return jax.tree.map(lambda total: jnp.where(holds, total, jnp.nan), value)
 
     def _interacting(self, x: Array) -> tuple[Array, Array]:
-        """Those pairs of sites in `near` (P,) that interact, or would just beyond the range, and how many
-        they are."""
+        """Those pairs of sites in `near` (P,) that interact, and how many they are."""
         contact, x = jax.lax.stop_gradient((self, x))
 
         def close(at: Array) -> Array:
             pairs = contact._pairs(contact.near.picked[at], jnp.ones_like(at, bool))
-            return (CLOSER * _separation(pairs, x)[1] < contact.range)[:, None]
+            return (_separation(pairs, x)[1] < contact.range)[:, None]
 
         near = contact.near
         return compacted(close, near.site_count, 1, near.picked.shape[0], LISTED, lambda at: near.picked[at])
@@ -249,9 +213,9 @@ class Contact(eqx.Module):
         nodes = jnp.stack(columns, axis=1)
         shares = [self.weights[:, k][site] for k in range(3)] + [-self.weights[:, k][other] for k in range(3)]
         weights = jnp.stack(shares, axis=1)
-        areas = self.density[triangles]
-        strength = self.share[site] * areas[:, 0] * self.share[other] * areas[:, 1]
-        return _Pairs(nodes, weights, jnp.where(held, strength, 0.0), owner)
+        one = self.share[site] * self.density[triangles[:, 0], self.place[site]]
+        two = self.share[other] * self.density[triangles[:, 1], self.place[other]]
+        return _Pairs(nodes, weights, jnp.where(held, one * two, 0.0), owner)
 
     def sharpest(self, theta: Array) -> Array:
         """Largest turn in rad of a fold that the candidates leave out, where hinges have angles `theta`
@@ -325,12 +289,12 @@ def build_contact(
             )
         level = _level(mesh, sigma, options)
         sites, fans, chart = build_sites(level), build_fans(mesh), build_chart(mesh)
-        weights, share = jnp.asarray(sites.weights), jnp.asarray(sites.share)
+        weights, share, place = map(jnp.asarray, sites)
         candidates = no_candidates(mesh.n_nodes, len(fans.triangles))
         near = no_neighbors(mesh.n_nodes, len(sites.share))
         core = as_float(CORE * _longest(mesh) / (level + 1)) if barrier else None
     else:
-        weights, share, fans, chart = like.weights, like.share, like.fans, like.chart
+        weights, share, place, fans, chart = like.weights, like.share, like.place, like.fans, like.chart
         candidates, near, core = like.candidates, like.near, like.core
     least = 0.5 * (CALM * mesh.hinge_height.min() - sigma)
     return Contact(
@@ -338,7 +302,8 @@ def build_contact(
         rest=jnp.asarray(mesh.vertices),
         weights=weights,
         share=share,
-        density=jnp.asarray(mesh.face_area / (np.sqrt(3.0) / 2.0 * sigma**2)),
+        place=place,
+        density=site_density(mesh, sigma),
         stiffness=as_float(constants.ks.mean()),
         range=as_float(sigma),
         core=core,

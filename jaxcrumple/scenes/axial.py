@@ -35,12 +35,12 @@ class AxialTimes(NamedTuple):
     """How long each part of a cycle lasts, in s: to `roll` the sheet up, to `compress` it, to `open` the
     walls, to `unfold` it, to `flatten` it, and to let it `rest` without a pull."""
 
-    roll: float = 0.15
-    compress: float = 0.25
-    open: float = 0.05
-    unfold: float = 0.15
-    flatten: float = 0.1
-    rest: float = 0.05
+    roll: float = 0.1
+    compress: float = 0.2
+    open: float = 0.03
+    unfold: float = 0.12
+    flatten: float = 0.08
+    rest: float = 0.04
 
     @property
     def cycle(self) -> float:
@@ -61,7 +61,7 @@ def cylindrical(
     *,
     size: float = 0.1,
     radius: float = 0.017,
-    height: float = 0.03,
+    height: float = 0.045,
     compress: float = TIMES.compress,
     **options: Any,
 ) -> Setup:
@@ -102,7 +102,7 @@ def axial(
     cycles: int = 5,
     size: float = 0.1,
     radius: float = 0.017,
-    height: float = 0.027,
+    height: float = 0.045,
     gap: float = 2e-3,
     roll: float = TIMES.roll,
     compress: float = TIMES.compress,

@@ -58,7 +58,7 @@ class CylindricalOptions(SheetModel):
 
     size: Metre = Field(0.1, gt=0)
     radius: Metre = Field(0.017, gt=0)
-    height: Metre = Field(0.03, gt=0)
+    height: Metre = Field(0.045, gt=0)
     compress: Second = Field(AXIAL.compress, gt=0)
 
 
@@ -66,7 +66,6 @@ class AxialOptions(CylindricalOptions):
     """Options of `axial`; lengths in m, times in s."""
 
     cycles: int = Field(5, ge=1, le=1000)
-    height: Metre = Field(0.027, gt=0)
     roll: Second = Field(AXIAL.roll, gt=0)
     gap: Metre = Field(2e-3, gt=0)
     open: Second = Field(AXIAL.open, gt=0)
