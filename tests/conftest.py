@@ -1,5 +1,7 @@
-"""Settings shared by all tests: double precision, and compiled programs kept from one session to the next."""
+"""Settings shared by all tests: double precision, programs compiled fast, and kept from one session to the
+next."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -7,6 +9,9 @@ import jax
 import pytest
 
 jax.config.update("jax_enable_x64", True)
+# Tests compile for longer than they run, and trace for as long, where collecting garbage often costs a tenth.
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+gc.set_threshold(100_000, 50, 50)
 
 
 def _keep_compiled_programs() -> None:
