@@ -45,6 +45,8 @@ BARRIER_SPACING = 0.5
 CORE = 1.05 * 2.0 / np.sqrt(3.0)
 # The largest core in ranges: what is left is where the barrier rises.
 WIDEST_CORE = 0.75
+# Room for motion that a bound of the stiffness leaves: distances are taken to be this much of what they are.
+CLOSER = 0.98
 # Share of the lowest triangle's height that separates triangles without a common node in a flat sheet.
 CALM = 0.8
 # The reach that this allows in ranges, at least.
@@ -162,6 +164,18 @@ class Contact(eqx.Module):
         cross = jnp.zeros((self.near.triangles.shape[0], 9, 9), x.dtype)
         return self._sum(x, add, (own, cross, jnp.zeros(x.shape[0], x.dtype)))
 
+    def stiffness_bound(self, x: Array) -> Array:
+        """Numbers (n,) in N/m whose matrix bounds the Hessian, also a little closer than at `x`."""
+
+        def add(total: Array, contact: "Contact", x: Array, pairs: "_Pairs") -> Array:
+            _, distance = _separation(pairs, x)
+            closer = contact._closer(distance)
+            most = jnp.maximum(jnp.abs(contact._stiffness(closer)), jnp.abs(contact._slope(closer) / closer))
+            parts = 2.0 * jnp.abs(pairs.weights) * (pairs.strength * most)[:, None]
+            return total.at[pairs.nodes].add(parts)
+
+        return self._sum(x, add, jnp.zeros(x.shape[0], x.dtype))
+
     @eqx.filter_jit
     def gaps(self, x: Array) -> tuple[Array, Array]:
         """Smallest distance in m of two interacting sites (infinite if none), and how many there are."""
@@ -169,6 +183,11 @@ class Contact(eqx.Module):
         _, distance = _separation(pairs, x)
         active = (pairs.strength > 0) & (distance < self.range)
         return jnp.min(jnp.where(active, distance, jnp.inf)), jnp.sum(active)
+
+    def _closer(self, distance: Array) -> Array:
+        """What motion may leave of distances: no less than halfway to where a barrier is infinite."""
+        closer = CLOSER * distance
+        return closer if self.core is None else jnp.maximum(closer, 0.5 * (self.core + distance))
 
     def _potential(self, distance: Array) -> Array:
         return pair_energy(distance, self.stiffness, self.range, self.core)
@@ -193,12 +212,13 @@ class Contact(eqx.Module):
         return jax.tree.map(lambda total: jnp.where(holds, total, jnp.nan), value)
 
     def _interacting(self, x: Array) -> tuple[Array, Array]:
-        """Those pairs of sites in `near` (P,) that interact, and how many they are."""
+        """Those pairs of sites in `near` (P,) that interact, or would just beyond the range, and how many
+        they are."""
         contact, x = jax.lax.stop_gradient((self, x))
 
         def close(at: Array) -> Array:
             pairs = contact._pairs(contact.near.picked[at], jnp.ones_like(at, bool))
-            return (_separation(pairs, x)[1] < contact.range)[:, None]
+            return (CLOSER * _separation(pairs, x)[1] < contact.range)[:, None]
 
         near = contact.near
         return compacted(close, near.site_count, 1, near.picked.shape[0], LISTED, lambda at: near.picked[at])

@@ -54,11 +54,11 @@ class Integrator(eqx.Module):
         """Whether the scheme may use a stage."""
         return stage in self.stages
 
-    def stability_limit(self, scene: Scene, x: Array, t: Array, p: Array | None = None) -> Array:
-        """Largest stable explicit step in s at positions `x` (n, 3), time `t` and rest curvatures `p` (h,):
-        the scale of the shortest steps also where the scheme has no explicit ones."""
+    def stability_limit(self, scene: Scene, x: Array, t: Array) -> Array:
+        """Largest stable explicit step in s at positions `x` (n, 3) and time `t`: the scale of the shortest
+        steps also where the scheme has no explicit ones."""
         method = Verlet if self.explicit is None else type(self.explicit)
-        return method.stable(fastest(scene, x, t, p))
+        return method.stable(fastest(scene, x, t))
 
     @property
     def one_matrix(self) -> bool:
