@@ -47,7 +47,8 @@ def layers():
         (
             jnp.where(own, scene.membrane.stiffness, 0.0),
             jnp.zeros_like(scene.bending.stiffness),
-            jnp.where(whole[:, None], scene.contact.density, 0.0),
+            # By area alone, so that all nodes are stopped alike.
+            jnp.where(whole[:, None], jnp.broadcast_to(scene.contact.density[:, :1], (len(whole), 7)), 0.0),
         ),
     )
     return scene, x, upper
