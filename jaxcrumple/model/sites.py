@@ -34,9 +34,9 @@ def site_density(mesh: Mesh, sigma: Any) -> Any:
     edge of the sheet so much more that sites there count in full, as in the paper. By their area alone two
     edges that meet would push with a quarter of the force, and press through one another."""
     factor = np.ones((len(mesh.faces), 7))
-    free = {tuple(pair) for pair in np.sort(mesh.edges[mesh.boundary_edges], axis=1).tolist()}
-    sides = np.sort(mesh.faces[:, [[1, 2], [2, 0], [0, 1]]], axis=2)
-    factor[:, 1:4] += [[tuple(pair) in free for pair in three] for three in sides.tolist()]
+    free, sides = mesh.edges[mesh.boundary_edges], mesh.faces[:, [[1, 2], [2, 0], [0, 1]]]
+    keys = [np.sort(pairs, axis=-1).astype(np.int64) @ [mesh.n_nodes, 1] for pairs in (sides, free)]
+    factor[:, 1:4] += np.isin(keys[0], keys[1])
     valence = np.bincount(mesh.faces.reshape(-1), minlength=mesh.n_nodes)
     ends = np.isin(mesh.faces, mesh.boundary_nodes)
     factor[:, 4:] = np.where(ends, 6.0 / valence[mesh.faces], 1.0)
