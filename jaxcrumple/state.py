@@ -203,10 +203,10 @@ class State(eqx.Module):
 
     `t` s; `x` (n, 3) m; `v` (n, 3) m/s; `p` (h,) rest curvature or None in an elastic scene; `h`,
     `h_explicit`: next step of the implicit stages and of the explicit one in s; `limit`: stability
-    limit of explicit steps in s, measured now and then; `stage`: `QUASISTATIC`, `IMPLICIT`, `EXPLICIT`,
-    or -1 for that in which the scheme starts; `slopes`: what explicit steps hand on; `listing`: None
-    without contact; `kept`: where the tangent was taken with which the last implicit step ended; `work`: the
-    work ledger, None where none is kept.
+    limit of explicit steps in s were there no walls, measured now and then; `stage`: `QUASISTATIC`,
+    `IMPLICIT`, `EXPLICIT`, or -1 for that in which the scheme starts; `slopes`: what explicit steps hand on;
+    `listing`: None without contact; `kept`: where the tangent was taken with which the last implicit step
+    ended; `work`: the work ledger, None where none is kept.
     """
 
     t: Array

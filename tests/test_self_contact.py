@@ -6,9 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from folded import brute_force, folded, strip
+from scipy.sparse.linalg import eigsh
 
 import jaxcrumple as jc
-from jaxcrumple.model.contact import CLOSER, Contact
+from jaxcrumple.model.contact import Contact
+from jaxcrumple.solvers.stability import fastest
 
 SIGMA, PARTS = 0.5e-3, 4
 
@@ -167,7 +169,6 @@ def test_a_barrier_is_finite_where_a_fold_is_sharp():
     assert int(contact.gaps(x)[1]) % 256 > 0
     assert 0 < float(contact.energy(x)) < np.inf
     assert np.all(np.isfinite(contact.force(x)))
-    assert np.all(np.isfinite(contact.stiffness_bound(x)))
 
 
 def test_a_sheet_whose_triangles_all_share_a_node_has_no_contact():
@@ -193,17 +194,20 @@ def test_a_sheet_whose_triangles_all_share_a_node_has_no_contact():
     np.testing.assert_allclose(apart[1], apart[0], atol=1e-5 * SIGMA)
 
 
-def test_stiffness_bound_next_to_the_core_of_a_barrier():
-    _, scene, _ = layers(0.9, potential="barrier", level=None)
-    core = float(scene.contact.core) / SIGMA
-    _, scene, x = layers(core + 0.04, potential="barrier", level=None)
-    gap = float(scene.contact.gaps(x)[0])
-    assert scene.contact.core < gap < scene.contact.core / CLOSER
-    bound = scene.contact.stiffness_bound(x)
-    for seed in range(10):
-        way = jnp.asarray(np.random.default_rng(seed).normal(size=x.shape))
-        _, change = jax.jvp(scene.contact.force, (x,), (way,))
-        assert 0 < -jnp.sum(way * change) < jnp.sum(bound[:, None] * way * way)
+@pytest.mark.parametrize(
+    ("potential", "level", "gap", "stiffer"), [("penalty", 7, 0.35, 0.9), ("barrier", None, 0.75, 1.5)]
+)
+def test_stability_limit_of_layers_that_press_one_another(potential, level, gap, stiffer):
+    """Those next to a barrier's core are stiffer by far than the sheet alone."""
+    _, scene, x = layers(gap, potential=potential, level=level)
+    assert int(scene.contact.gaps(x)[1]) > 100
+    state = jc.initial_state(scene, x)
+    matrix, mass = jc.tangent(scene, state), np.repeat(scene.mass, 3)
+    scaled = matrix.multiply(mass[:, None] ** -0.5).multiply(mass**-0.5).tocsr()
+    exact = np.sqrt(eigsh(scaled, k=1, which="LA", return_eigenvectors=False)[0])
+    alone = fastest(eqx.tree_at(lambda s: s.contact.stiffness, scene, jnp.zeros(())), x)
+    assert exact > stiffer * alone.omega
+    assert 1.0 <= fastest(scene, x).omega / exact < 1.15
 
 
 def test_lists_have_the_room_that_is_asked_for_and_change_nothing():

@@ -3,6 +3,7 @@
 import functools
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -145,28 +146,44 @@ def test_stability_limit_bounds_the_largest_frequency_tightly(shape):
         )[0]
     )
     limit = float(RungeKutta.stable(fastest(scene, state.x)))
-    assert 0.7 < limit * omega / RK4_LIMIT < 1.0
+    assert 0.85 < limit * omega / RK4_LIMIT < 1.0
 
 
-def test_largest_eigenvalue_is_that_of_lapack():
-    a = np.random.default_rng(0).normal(size=(200, 3, 3))
-    a = a + np.swapaxes(a, 1, 2)
-    a[:50] = a[:50, :, :1] * a[:50, None, :, 0]  # rank one
-    a[50:60] = 3.0 * np.eye(3)
-    a[60] = 0.0
-    a[61] = np.diag([2.0, 2.0, 1.0])
-    a[62:] *= np.geomspace(1e-12, 1e12, 138)[:, None, None]
-    exact = np.linalg.eigvalsh(a)[:, -1]
-    size = np.abs(a).max(axis=(1, 2))
-    assert np.all(np.abs(largest_eigenvalue(jnp.asarray(a)) - exact) <= 1e-14 * 10 * size)
+def spectra():
+    """Eigenvalues of matrices: spread, all but one equal, one far above, none positive, few, none."""
+    rng = np.random.default_rng(0)
+    spread = rng.uniform(-0.5, 2.0, 300)
+    return {
+        "spread": spread, "double": np.repeat([1.0, 3.0], 100), "apart": np.append(spread, 50.0),
+        "negative": -np.linspace(1.0, 2.0, 50), "few": np.array([1.0, 2.0, 4.0]), "zero": np.zeros(20),
+    }  # fmt: skip
 
 
-def test_stability_limit_is_sharp_on_the_lattice():
+@pytest.mark.parametrize("kind", spectra())
+@pytest.mark.parametrize("scale", [1e-12, 1e13])
+def test_largest_eigenvalue_is_bounded_tightly(kind, scale):
+    values = scale * spectra()[kind]
+    q = np.linalg.qr(np.random.default_rng(1).normal(size=(len(values), len(values))))[0]
+    matrix = jnp.asarray((q * values) @ q.T)
+    bound = float(jax.jit(lambda a: largest_eigenvalue(lambda u: a @ u, len(a)))(matrix))
+    exact = max(values.max(), 0.0)
+    assert exact * (1 - 1e-12) <= bound <= 1.25 * exact + 0.15 * np.abs(values).max()
+
+
+def test_largest_eigenvalue_that_is_at_home_in_one_place():
+    """One pair of sites that presses shows nowhere else."""
+    values = np.full(3000, 1.0)
+    values[1234] = 1.5
+    bound = float(largest_eigenvalue(lambda u: jnp.asarray(values) * u, len(values)))
+    assert 1.5 * (1 - 1e-12) <= bound < 1.6
+
+
+def test_stability_limit_on_the_lattice():
     _, scene, _ = patch()
     ks, _, mass = constants(scene)
     scene = eqx.tree_at(lambda s: (s.drag, s.damping), scene, (None, None), is_leaf=lambda x: x is None)
     limit = float(RungeKutta.stable(fastest(scene, jnp.asarray(patch()[0].vertices))))
-    assert limit == pytest.approx(STABILITY / np.sqrt(6 * ks / mass), rel=1e-9)
+    assert 0.87 < limit / (STABILITY / np.sqrt(6 * ks / mass)) <= 1.0
 
 
 def amplification(z):

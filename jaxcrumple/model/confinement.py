@@ -22,8 +22,6 @@ from jaxcrumple.model.fields import as_float
 NEAREST = 0.98
 NEAREST_SLOPE = NEAREST**2 * (3.0 - 2.0 * NEAREST) / (3.0 * (1.0 - NEAREST) ** 2)
 NEAREST_CURVATURE = 2.0 * (1.0 / (1.0 - NEAREST) ** 3 - 1.0) / 3.0
-# Room for motion, in ranges, that a bound of the stiffness leaves.
-CLOSER = 0.05
 # Guards the distance to a centre or an axis, m^2: far below any length that matters here.
 TINY = 1e-30
 
@@ -212,8 +210,8 @@ class Wall(eqx.Module):
         return -jax.vmap(jax.grad(self._energy), (0, 0, None))(x, self.stiffness, t)
 
     def stiffness_bound(self, x: Array, t: Array) -> Array:
-        """Largest stiffness of each node (n,) in N/m, at `CLOSER` ranges nearer to the wall than `x`."""
-        nearness = jnp.maximum(1.0 - self.gap(x, t) / self.range + CLOSER, 0.0)
+        """Largest stiffness of each node (n,) in N/m."""
+        nearness = jnp.maximum(1.0 - self.gap(x, t) / self.range, 0.0)
         return self.stiffness * jax.vmap(jax.grad(jax.grad(wall_law)))(nearness)
 
     def blocks(self, x: Array, t: Array) -> Array:

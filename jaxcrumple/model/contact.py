@@ -45,7 +45,7 @@ BARRIER_SPACING = 0.5
 CORE = 1.05 * 2.0 / np.sqrt(3.0)
 # The largest core in ranges: what is left is where the barrier rises.
 WIDEST_CORE = 0.75
-# Room for motion that a bound of the stiffness leaves: distances are taken to be this much of what they are.
+# Room for motion that a tangent which is to hold for a while leaves: distances are this much of what they are.
 CLOSER = 0.98
 # Share of the lowest triangle's height that separates triangles without a common node in a flat sheet.
 CALM = 0.8
@@ -134,11 +134,14 @@ class Contact(eqx.Module):
 
         return self._sum(x, add, jnp.zeros_like(x))
 
-    def add_tangent(self, x: Array, own: Array, face_blocks: Array) -> tuple[Array, Array, Array]:
+    def add_tangent(
+        self, x: Array, own: Array, face_blocks: Array, nearer: bool = False
+    ) -> tuple[Array, Array, Array]:
         """The Hessian, (A.10) with its sign put right: added to the sheet's `own` blocks (b, 9), of which
         `face_blocks` (f, 6) are those of a triangle's nodes; blocks (T, 9, 9) from the nodes of one triangle
         of each pair in the list to those of the other; and a diagonal (n,) that makes up for what is negative
-        in `own`, without the blocks. In N/m.
+        in `own`, without the blocks. In N/m. `nearer`: as if distances were a little smaller, as motion may
+        leave them.
 
         Sites that push are soft across their direction, the more the harder they push: of two sheets that
         slide together nothing is left of this, but of each one alone.
@@ -148,8 +151,9 @@ class Contact(eqx.Module):
         def add(total: tuple[Array, Array, Array], contact: "Contact", x: Array, pairs: "_Pairs"):
             own, cross, lift = total
             r, distance = _separation(pairs, x)
-            tension = pairs.strength * contact._slope(distance) / distance
             direction = r / distance[:, None]
+            distance = contact._closer(distance) if nearer else distance
+            tension = pairs.strength * contact._slope(distance) / distance
             along = direction[:, :, None] * direction[:, None, :]
             matrix = (pairs.strength * contact._stiffness(distance) - tension)[:, None, None] * along
             matrix = (matrix + tension[:, None, None] * jnp.eye(3)).reshape(-1, 1, 9)
@@ -163,18 +167,6 @@ class Contact(eqx.Module):
 
         cross = jnp.zeros((self.near.triangles.shape[0], 9, 9), x.dtype)
         return self._sum(x, add, (own, cross, jnp.zeros(x.shape[0], x.dtype)))
-
-    def stiffness_bound(self, x: Array) -> Array:
-        """Numbers (n,) in N/m whose matrix bounds the Hessian, also a little closer than at `x`."""
-
-        def add(total: Array, contact: "Contact", x: Array, pairs: "_Pairs") -> Array:
-            _, distance = _separation(pairs, x)
-            closer = contact._closer(distance)
-            most = jnp.maximum(jnp.abs(contact._stiffness(closer)), jnp.abs(contact._slope(closer) / closer))
-            parts = 2.0 * jnp.abs(pairs.weights) * (pairs.strength * most)[:, None]
-            return total.at[pairs.nodes].add(parts)
-
-        return self._sum(x, add, jnp.zeros(x.shape[0], x.dtype))
 
     @eqx.filter_jit
     def gaps(self, x: Array) -> tuple[Array, Array]:

@@ -59,7 +59,7 @@ def after_implicit(
     """Whether the stage of an implicit step, that led to `state` or was rejected for `cause`, cannot or need
     not go on; `bounded`: contact allowed no longer step."""
     quasistatic, inertial = state.stage == QUASISTATIC, state.stage == IMPLICIT
-    limit, rejected, handover = state.limit, ~accepted, stay(state)
+    limit, rejected, handover = solver.limit(scene, state), ~accepted, stay(state)
     short = state.h < COLLAPSE * limit
     asked = quasistatic & accepted & wants_inertia(scene, state.monitor, solver.switch)
     h_explicit = solver.explicit.safety * limit if solver.explicit is not None else limit

@@ -123,7 +123,7 @@ def _renewed(scene: Scene, carry: _Carry, solver: Integrator) -> _Carry:
     state, lists = renewed(scene, carry.state, carry.lists)
     now, waiting = listed(scene, lists), waits(state)
     due = _limit_is_due(carry) & ~waiting
-    limit = where_needed(due, solver.stability_limit, state.limit, now, state.x, state.t)
+    limit = where_needed(due, solver.stability_limit, state.limit, now, state.x, state.t, state.p)
     measured = state.monitor.measured | due
     state = eqx.tree_at(lambda s: (s.limit, s.monitor.measured), state, (limit, measured))
     unsound = ~_is_sound(scene, state) & ~waiting
@@ -203,7 +203,7 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
     wanted = jnp.minimum(state.h, solver.max_step)
     # The step that aligns the velocity with the forces is as short as an explicit one.
     aligning = aligns(state)
-    wanted = jnp.where(aligning, jnp.minimum(wanted, state.limit), wanted)
+    wanted = jnp.where(aligning, jnp.minimum(wanted, solver.limit(scene, state)), wanted)
     bounded = jnp.asarray(False)
     if scene.contact is not None:
         ahead, known = solver.implicit.predict(scene, state, wanted), state.history.count > 1
@@ -333,7 +333,7 @@ def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrat
 def _explicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
     assert solver.explicit is not None
     state = carry.state
-    cap = solver.explicit.safety * state.limit
+    cap = solver.explicit.safety * solver.limit(scene, state)
     started = state.h_explicit > 0
     wanted = jnp.minimum(jnp.where(started, jnp.minimum(state.h_explicit, cap), cap), solver.max_step)
     if scene.contact is None:
@@ -360,7 +360,7 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
 def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted) -> _Carry:
     assert solver.explicit is not None
     scene, state, order = listed(scene, carry.lists), carry.state, solver.explicit.order
-    cap = solver.explicit.safety * state.limit
+    cap = solver.explicit.safety * solver.limit(scene, state)
     h, lands = _clip_step(state.t, wanted, t_stop)
     tried = solver.explicit.attempt(scene, state, h, cap)
     moved = eqx.tree_at(

@@ -18,7 +18,7 @@ from jaxcrumple.solvers.stability import fastest
 from jaxcrumple.solvers.switch import Switch
 from jaxcrumple.solvers.variable_order import VariableOrder
 from jaxcrumple.solvers.verlet import Verlet
-from jaxcrumple.state import EXPLICIT, IMPLICIT, QUASISTATIC
+from jaxcrumple.state import EXPLICIT, IMPLICIT, QUASISTATIC, State
 
 Scheme = Literal["hybrid", "dynamic", "alternating", "quasistatic", "explicit", "paper"]
 SCHEMES = get_args(Scheme)
@@ -54,11 +54,19 @@ class Integrator(eqx.Module):
         """Whether the scheme may use a stage."""
         return stage in self.stages
 
-    def stability_limit(self, scene: Scene, x: Array, t: Array) -> Array:
-        """Largest stable explicit step in s at positions `x` (n, 3) and time `t`: the scale of the shortest
-        steps also where the scheme has no explicit ones."""
-        method = Verlet if self.explicit is None else type(self.explicit)
-        return method.stable(fastest(scene, x, t))
+    def stability_limit(self, scene: Scene, x: Array, t: Array, p: Array | None = None) -> Array:
+        """Largest stable explicit step in s at positions `x` (n, 3), time `t` and rest curvatures `p` (h,),
+        were there no walls."""
+        return self._method.stable(fastest(scene, x, t, p))
+
+    def limit(self, scene: Scene, state: State) -> Array:
+        """Largest stable explicit step in s at a state: the scale of the shortest steps also where the scheme
+        has no explicit ones."""
+        return self._method.limit(scene, state, state.x, state.t)
+
+    @property
+    def _method(self) -> type[AbstractExplicit]:
+        return Verlet if self.explicit is None else type(self.explicit)
 
     @property
     def one_matrix(self) -> bool:

@@ -59,7 +59,7 @@ class TwoLevel(AbstractLinearSolver):
         lower, sound = block_factors(pattern, own, self.block_size)
         blocks = jax.vmap(_inverse_lower)(lower)
         # One after the other, by their data: two batches of LAPACK calls at once (under `vmap`) would hang a
-        # machine of two threads, see `largest_eigenvalue`.
+        # machine of two threads, see `solvers/stability.py`.
         sound = sound & jnp.all(jnp.isfinite(blocks))
         matrix = coarse_matrix(pattern, own)
         coarse, definite = _coarse_factor(jnp.where(sound, matrix, jnp.eye(matrix.shape[0])))
