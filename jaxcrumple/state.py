@@ -198,15 +198,23 @@ class Listing(eqx.Module):
     needed: Array
 
 
+class Limit(NamedTuple):
+    """Largest stable explicit `step` in s where it was measured, and the stiffness (n,) in N/m that `walls` had
+    there."""
+
+    step: Array
+    walls: Array
+
+
 class State(eqx.Module):
     """All that evolves. Fixed structure, so that a checkpoint is the whole State.
 
     `t` s; `x` (n, 3) m; `v` (n, 3) m/s; `p` (h,) rest curvature or None in an elastic scene; `h`,
-    `h_explicit`: next step of the implicit stages and of the explicit one in s; `limit`: stability
-    limit of explicit steps in s were there no walls, measured now and then; `stage`: `QUASISTATIC`,
-    `IMPLICIT`, `EXPLICIT`, or -1 for that in which the scheme starts; `slopes`: what explicit steps hand on;
-    `listing`: None without contact; `kept`: where the tangent was taken with which the last implicit step
-    ended; `work`: the work ledger, None where none is kept.
+    `h_explicit`: next step of the implicit stages and of the explicit one in s; `limit`: of
+    explicit steps, measured now and then; `stage`: `QUASISTATIC`, `IMPLICIT`, `EXPLICIT`, or -1 for that in
+    which the scheme starts; `slopes`: what explicit steps hand on; `listing`: None without contact; `kept`:
+    where the tangent was taken with which the last implicit step ended; `work`: the work ledger, None where
+    none is kept.
     """
 
     t: Array
@@ -215,7 +223,7 @@ class State(eqx.Module):
     p: Array | None
     h: Array
     h_explicit: Array
-    limit: Array
+    limit: Limit
     stage: Array
     slopes: Slopes
     listing: Listing | None
@@ -254,7 +262,7 @@ def initial_state(
         p=p,
         h=nought,
         h_explicit=nought,
-        limit=nought,
+        limit=Limit(nought, jnp.zeros(scene.n_nodes)),
         stage=jnp.asarray(-1, int),
         slopes=slopes,
         listing=listing,

@@ -141,17 +141,14 @@ def linearize(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array]
     return value, _assemble(scene, x, step.t, edge_blocks, hinge_blocks, nodes)
 
 
-def elastic_tangent(
-    scene: Scene, x: Array, p: Array | None, t: Array, shift: Array | float = 0.0, nearer: bool = False
-) -> Array:
-    """Values (size,) of the Hessian of the potential energy plus `shift` times the mass, in N/m; with layers
-    a little `nearer` to each other than they are, so that it holds for a while."""
+def elastic_tangent(scene: Scene, x: Array, p: Array | None, t: Array, shift: Array | float = 0.0) -> Array:
+    """Values (size,) of the Hessian of the potential energy plus `shift` times the mass, in N/m."""
     nodes = (shift * scene.mass)[:, None, None] * jnp.eye(3)
     hinge_blocks = scene.bending.blocks(x, scene.rest_curvature(p), None)
-    return _assemble(scene, x, t, scene.membrane.blocks(x), hinge_blocks, nodes, nearer)
+    return _assemble(scene, x, t, scene.membrane.blocks(x), hinge_blocks, nodes)
 
 
-def _assemble(scene: Scene, x, t, edge_blocks, hinge_blocks, nodes, nearer: bool = False) -> Array:
+def _assemble(scene: Scene, x, t, edge_blocks, hinge_blocks, nodes) -> Array:
     for wall in scene.walls:
         nodes = nodes + wall.blocks(x, t)
     extra = [term.blocks(x, t) for term in scene.extra]
@@ -160,7 +157,7 @@ def _assemble(scene: Scene, x, t, edge_blocks, hinge_blocks, nodes, nearer: bool
     if scene.contact is None or pattern.contact is None:
         values = pattern.values(blocks)
     else:
-        blocks, cross, lift = scene.contact.add_tangent(x, blocks, pattern.contact.face_blocks, nearer)
+        blocks, cross, lift = scene.contact.add_tangent(x, blocks, pattern.contact.face_blocks)
         values = jnp.concatenate([pattern.values(blocks), cross.reshape(-1), lift])
     return values if scene.prescribed is None else _eliminate(scene, scene.prescribed.held(t), values)
 

@@ -25,6 +25,8 @@ def test_every_entry_of_a_list_counts_once(count):
 
 @pytest.mark.parametrize("count", [0, 5, 12])
 def test_a_table_has_a_row_for_each_entry(count):
-    table = filled(lambda at: jnp.stack([at + 1.0, 2.0 * at], axis=1), jnp.asarray(count), (12, 2), 5)
+    columns = filled(lambda at: (at + 1.0, 2 * at), jnp.asarray(count), 12, 5)
+    assert [column.dtype for column in columns] == [float, int]
+    table = np.stack(columns, axis=1)
     expected = np.stack([np.arange(12) + 1.0, 2.0 * np.arange(12)], axis=1)
     np.testing.assert_array_equal(table[:count], expected[:count])

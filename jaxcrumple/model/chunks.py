@@ -3,6 +3,7 @@ room costs nothing."""
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -150,18 +151,21 @@ def enumerated(
     return kept, total.astype(int)
 
 
-def filled(value: Callable[[Array], Array], count: Array, shape: tuple[int, int], chunk: int) -> Array:
-    """A table with the rows `value` (chunk, k) of places (chunk,) for the first `count`; the others are 0."""
-    size = shape[0]
+def filled(value: Callable[[Array], Any], count: Array, size: int, chunk: int) -> Any:
+    """Columns (size,) of a table with what `value` makes of places (chunk,), a tree of columns (chunk,), for
+    the first `count`; the others are 0."""
 
-    def body(carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        first, rows = carry
+    def body(carry: tuple[Array, Any]) -> tuple[Array, Any]:
+        first, columns = carry
         part = value(_places(first, count, size, chunk)[0])
-        return first + chunk, jax.lax.dynamic_update_slice(rows, part, (first, jnp.zeros_like(first)))
+        put = partial(jax.lax.dynamic_update_slice_in_dim, start_index=first, axis=0)
+        return first + chunk, jax.tree.map(put, columns, part)
 
-    start = jnp.asarray(0), jnp.zeros((size + chunk, shape[1]))
+    kinds = jax.eval_shape(value, jax.ShapeDtypeStruct((chunk,), int))
+    start = jnp.asarray(0), jax.tree.map(lambda kind: jnp.zeros(size + chunk, kind.dtype), kinds)
     many = jnp.minimum(count, size)
-    return jax.lax.while_loop(lambda carry: carry[0] < many, body, start)[1][:size]
+    columns = jax.lax.while_loop(lambda carry: carry[0] < many, body, start)[1]
+    return jax.tree.map(lambda column: column[:size], columns)
 
 
 def counted(numbers: Array) -> Array:

@@ -55,7 +55,7 @@ LEAST = 0.25
 # share of that at rest; and the share ahead of a step that may end a little elsewhere.
 APART, APART_AHEAD = 0.55, 0.6
 # Pairs of sites that are looked at together: those in the list, and those that interact.
-LISTED, ACTIVE = 1024, 256
+LISTED, ACTIVE = 1024, 512
 
 
 def pair_energy(distance: Array, stiffness: Array, sigma: Array, core: Array | float | None = None) -> Array:
@@ -134,14 +134,11 @@ class Contact(eqx.Module):
 
         return self._sum(x, add, jnp.zeros_like(x))
 
-    def add_tangent(
-        self, x: Array, own: Array, face_blocks: Array, nearer: bool = False
-    ) -> tuple[Array, Array, Array]:
+    def add_tangent(self, x: Array, own: Array, face_blocks: Array) -> tuple[Array, Array, Array]:
         """The Hessian, (A.10) with its sign put right: added to the sheet's `own` blocks (b, 9), of which
         `face_blocks` (f, 6) are those of a triangle's nodes; blocks (T, 9, 9) from the nodes of one triangle
         of each pair in the list to those of the other; and a diagonal (n,) that makes up for what is negative
-        in `own`, without the blocks. In N/m. `nearer`: as if distances were a little smaller, as motion may
-        leave them.
+        in `own`, without the blocks. In N/m.
 
         Sites that push are soft across their direction, the more the harder they push: of two sheets that
         slide together nothing is left of this, but of each one alone.
@@ -151,12 +148,8 @@ class Contact(eqx.Module):
         def add(total: tuple[Array, Array, Array], contact: "Contact", x: Array, pairs: "_Pairs"):
             own, cross, lift = total
             r, distance = _separation(pairs, x)
-            direction = r / distance[:, None]
-            distance = contact._closer(distance) if nearer else distance
-            tension = pairs.strength * contact._slope(distance) / distance
-            along = direction[:, :, None] * direction[:, None, :]
-            matrix = (pairs.strength * contact._stiffness(distance) - tension)[:, None, None] * along
-            matrix = (matrix + tension[:, None, None] * jnp.eye(3)).reshape(-1, 1, 9)
+            matrix, tension = contact._matrices(pairs, r / distance[:, None], distance)
+            matrix = matrix.reshape(-1, 1, 9)
             for side in range(2):
                 blocks = face_blocks[contact.near.triangles[pairs.owner, side]]
                 weights = pairs.weights[:, 3 * side : 3 * side + 3]
@@ -167,6 +160,22 @@ class Contact(eqx.Module):
 
         cross = jnp.zeros((self.near.triangles.shape[0], 9, 9), x.dtype)
         return self._sum(x, add, (own, cross, jnp.zeros(x.shape[0], x.dtype)))
+
+    def nearer_product(self, x: Array) -> Callable[[Array], Array]:
+        """The function of displacements (n, 3) in m that the Hessian makes forces of, in N, as if distances
+        were a little smaller than at positions `x` (n, 3): as motion may leave them."""
+        interacting, holds = self._interacting(x), self.covers(x)
+
+        def add(total: Array, contact: "Contact", both: tuple[Array, Array], pairs: "_Pairs") -> Array:
+            (r, distance), (change, _) = _separation(pairs, both[0]), _separation(pairs, both[1])
+            matrix, _ = contact._matrices(pairs, r / distance[:, None], contact._closer(distance))
+            push = jnp.sum(matrix * change[:, None], axis=2)
+            return total.at[pairs.nodes].add(pairs.weights[:, :, None] * push[:, None])
+
+        def product(u: Array) -> Array:
+            return jnp.where(holds, self._added((x, u), interacting, add, jnp.zeros_like(x)), jnp.nan)
+
+        return product
 
     @eqx.filter_jit
     def gaps(self, x: Array) -> tuple[Array, Array]:
@@ -190,30 +199,48 @@ class Contact(eqx.Module):
     def _stiffness(self, distance: Array) -> Array:
         return jax.vmap(jax.grad(jax.grad(self._potential)))(distance)
 
+    def _matrices(self, pairs: "_Pairs", direction: Array, distance: Array) -> tuple[Array, Array]:
+        """Stiffness (p, 3, 3) in N/m of pairs of sites a `distance` (p,) apart in a `direction` (p, 3), and
+        that (p,) across."""
+        tension = pairs.strength * self._slope(distance) / distance
+        along = direction[:, :, None] * direction[:, None, :]
+        stiffness = (pairs.strength * self._stiffness(distance) - tension)[:, None, None]
+        return stiffness * along + tension[:, None, None] * jnp.eye(3), tension
+
     def _sum(self, x: Array, add: Callable[[Any, "Contact", Array, "_Pairs"], Any], nothing: Any) -> Any:
         """`nothing` with what the pairs near enough add; NaN where the list does not hold."""
-        picked, count = self._interacting(x)
+        value, holds = self._added(x, self._interacting(x), add, nothing), self.covers(x)
+        return jax.tree.map(lambda total: jnp.where(holds, total, jnp.nan), value)
 
-        def add_at(total: Any, arguments: tuple["Contact", Array, Array], at: Array, held: Array) -> Any:
+    def _added(self, x: Any, interacting: tuple[Array, Array], add: Callable[..., Any], nothing: Any) -> Any:
+        """`nothing` with what the `interacting` pairs add by `x`, arrays (n, 3)."""
+        picked, count = interacting
+
+        def add_at(total: Any, arguments: tuple["Contact", Any, Array], at: Array, held: Array) -> Any:
             contact, x, picked = arguments
             # What stands beyond may lie in the core of a barrier, and infinity times nothing is not nothing.
             return add(total, contact, x, contact._pairs(picked[jnp.where(held, at, 0)], held))
 
-        value = accumulate(add_at, nothing, (self, x, picked), count, picked.shape[0], ACTIVE)
-        holds = self.covers(x)
-        return jax.tree.map(lambda total: jnp.where(holds, total, jnp.nan), value)
+        return accumulate(add_at, nothing, (self, x, picked), count, picked.shape[0], ACTIVE)
 
     def _interacting(self, x: Array) -> tuple[Array, Array]:
         """Those pairs of sites in `near` (P,) that interact, or would just beyond the range, and how many
         they are."""
         contact, x = jax.lax.stop_gradient((self, x))
+        near, size = contact.near, contact.near.picked.shape[0]
+        # Nine in ten are told by how far they were apart and how far their triangles have moved.
+        reach = contact.range / CLOSER + near.moved(contact.faces, x)
+
+        def may(at: Array) -> Array:
+            return (near.apart[at] < reach[near.owner[at]])[:, None]
+
+        rough, count = compacted(may, near.site_count, 1, size, LISTED)
 
         def close(at: Array) -> Array:
-            pairs = contact._pairs(contact.near.picked[at], jnp.ones_like(at, bool))
+            pairs = contact._pairs(near.picked[rough[at]], jnp.ones_like(at, bool))
             return (CLOSER * _separation(pairs, x)[1] < contact.range)[:, None]
 
-        near = contact.near
-        return compacted(close, near.site_count, 1, near.picked.shape[0], LISTED, lambda at: near.picked[at])
+        return compacted(close, count, 1, size, LISTED, lambda at: near.picked[rough[at]])
 
     def _pairs(self, picked: Array, held: Array) -> "_Pairs":
         """Pairs of sites (p,) as in `Near.picked`, of which those `held` (p,) are valid."""

@@ -9,7 +9,6 @@ from jax import Array
 from jaxcrumple.model.chunks import accumulate, compacted
 from jaxcrumple.model.distance import primitive_distances, shared_parts
 from jaxcrumple.model.geometry import Vec, add, dot, gather, scale, sub
-from jaxcrumple.model.near import motion
 
 if TYPE_CHECKING:
     from jaxcrumple.model.contact import Contact
@@ -19,8 +18,8 @@ if TYPE_CHECKING:
 TOUCHING = 0.1
 # Advances after which a pair that is still under way counts as touching.
 ADVANCES = 64
-# Pairs of triangles that are looked at together.
-DOUBTED = 64
+# Pairs of triangles that are looked at together: those in the list, and those that may touch.
+LISTED, DOUBTED = 1024, 64
 
 
 def crosses(contact: "Contact", start: Array, end: Array) -> Array:
@@ -31,10 +30,8 @@ def crosses(contact: "Contact", start: Array, end: Array) -> Array:
     """
     near = contact.near
     first, second = contact.faces[near.triangles[:, 0]], contact.faces[near.triangles[:, 1]]
-    moved = jnp.maximum(motion(near.around.x, start), motion(near.around.x, end))
-    closest = near.distance - jnp.max(moved[first], axis=1) - jnp.max(moved[second], axis=1)
-    room = first.shape[0]
-    places, count = compacted(lambda at: (closest[at] <= 0)[:, None], near.pair_count, 1, room, room)
+    closest, room = near.distance - near.moved(contact.faces, start, end), first.shape[0]
+    places, count = compacted(lambda at: (closest[at] <= 0)[:, None], near.pair_count, 1, room, LISTED)
 
     def add(touched: Array, arguments: tuple[Array, ...], at: Array, held: Array) -> Array:
         start, way, first, second, places = arguments

@@ -52,6 +52,7 @@ class Merger:
         cross[: len(nodes)] = found.reshape(-1, SIZE)
         indptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
         pairs = np.full(capacity, NONE)
-        pairs[: len(triangles)] = pair_key(jnp.asarray(triangles), len(self.faces))
+        # By NumPy: JAX would compile this for every number of pairs.
+        pairs[: len(triangles)] = pair_key(triangles, len(self.faces))
         arrays = (indptr, indices[:-1], place, pairs, cross)
         return Merged(*map(jnp.asarray, arrays))

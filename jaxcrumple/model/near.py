@@ -8,7 +8,8 @@ the sheet, which changes no distance. Lists are ordered and what does not intera
 results do not depend on when a list was made.
 """
 
-from typing import NamedTuple
+from functools import reduce
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -58,8 +59,8 @@ class Near(eqx.Module):
     - `triangles` (T, 2), and `distance` (T,) m between the parts of the two that share no node; the first
       `pair_count` are valid.
     - `found` (K,): sites of the first triangle that lie near the second, as place in `triangles` * s + site.
-    - `picked` (P,): pairs of sites, as place in `found` * s + site of the second triangle; the first
-      `site_count` are valid.
+    - `picked` (P,): pairs of sites, as place in `found` * s + site of the second triangle, `owner` (P,) their
+      place in `triangles`, and `apart` (P,) m how far apart they are; the first `site_count` are valid.
     - `around`: the motions for which it holds.
     - `needed` (3,): as `Room`, at least; the list holds nowhere where that is more than there is.
     """
@@ -69,6 +70,8 @@ class Near(eqx.Module):
     pair_count: Array
     found: Array
     picked: Array
+    owner: Array
+    apart: Array
     site_count: Array
     around: Around
     needed: Array
@@ -86,6 +89,13 @@ class Near(eqx.Module):
     def covers(self, x: Array, spare: Array | float = 0.0) -> Array:
         """Whether each node may go `spare` m further before it leaves its reach, and all pairs fitted."""
         return self.around.covers(x, spare) & ~jnp.any(self.overflow)
+
+    def moved(self, faces: Array, *positions: Array) -> Array:
+        """How much nearer (T,) in m points of the two triangles may be to each other, at any of some
+        `positions` (n, 3), than where the list was made."""
+        nodes = reduce(jnp.maximum, [motion(self.around.x, x) for x in positions])
+        most = reduce(jnp.maximum, [nodes[faces[:, k]] for k in range(3)])
+        return most[self.triangles[:, 0]] + most[self.triangles[:, 1]]
 
 
 class Room(NamedTuple):
@@ -114,7 +124,7 @@ def doubled(size: int, needed: int) -> int:
     return size
 
 
-def pair_key(triangles: Array, n_faces: int) -> Array:
+def pair_key(triangles: Any, n_faces: int) -> Any:
     """Keys (m,) of pairs of triangles (m, 2), first below second, in the order of sorted pairs."""
     wide = triangles.astype(jnp.int64)
     return wide[:, 0] * n_faces + wide[:, 1]
@@ -152,8 +162,15 @@ def no_candidates(n: int, ways: int, room: int = 1) -> Candidates:
 def no_neighbors(n: int, sites: int, room: Room = SMALLEST) -> Near:
     """A list that holds nowhere, for so many `sites` a triangle."""
     t, zero = room.triangles, jnp.zeros((), int)
-    found = jnp.zeros(room.sites, place_type(t * sites))
-    picked = jnp.zeros(room.pairs, place_type(room.sites * sites))
     return Near(
-        jnp.zeros((t, 2), jnp.int32), jnp.zeros(t), zero, found, picked, zero, nowhere(n), jnp.zeros(3, int)
+        triangles=jnp.zeros((t, 2), jnp.int32),
+        distance=jnp.zeros(t),
+        pair_count=zero,
+        found=jnp.zeros(room.sites, place_type(t * sites)),
+        picked=jnp.zeros(room.pairs, place_type(room.sites * sites)),
+        owner=jnp.zeros(room.pairs, place_type(t)),
+        apart=jnp.zeros(room.pairs),
+        site_count=zero,
+        around=nowhere(n),
+        needed=jnp.zeros(3, int),
     )

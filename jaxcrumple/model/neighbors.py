@@ -33,6 +33,7 @@ def find_near(contact: "Contact", around: Around) -> Near:
     looked_at = jnp.minimum(line_count, room.pairs)
     met, met_count = stages.columns(found, lines, looked_at)
     picked, total = stages.strangers(found, met, jnp.minimum(met_count, room.pairs))
+    owner, apart = stages.distances(found, picked, total)
     # What did not fit was not looked at further, and has as many sites and pairs as the rest.
     found_count = _in_all(found_count, pair_count, pairs)
     lines_met = jnp.maximum(line_count, _in_all(met_count, line_count, looked_at))
@@ -42,6 +43,8 @@ def find_near(contact: "Contact", around: Around) -> Near:
         pair_count=pair_count,
         found=found,
         picked=picked,
+        owner=owner,
+        apart=apart,
         site_count=total,
         around=around,
         needed=jnp.stack([pair_count, found_count, _in_all(lines_met, found_count, sites)]),
@@ -119,16 +122,29 @@ class _Stages:
 
     def strangers(self, found: Array, met: Array, count: Array) -> tuple[Array, Array]:
         """Those of the first `count` pairs that are no neighbours at rest, and how many they are."""
-        rest = self.contact.rest
 
         def strange(at: Array) -> Array:
-            row, other = split(met[at], self.lattice.count)
-            owner, site = split(found[row], self.lattice.count)
-            here = self.lattice.point(site, gather(rest, self.first[owner]))
-            apart = sub(here, self.lattice.point(other, gather(rest, self.second[owner])))
+            _, apart = self._between(found, met[at], self.contact.rest)
             return (dot(apart, apart) >= (EXCLUSION * self.contact.range) ** 2)[:, None]
 
         return compacted(strange, count, 1, self.room.pairs, REST, lambda at: met[at])
+
+    def distances(self, found: Array, picked: Array, count: Array) -> tuple[Array, Array]:
+        """As `Near.owner` and `Near.apart`, for the first `count` pairs."""
+
+        def distance(at: Array) -> tuple[Array, Array]:
+            owner, r = self._between(found, picked[at], self.x)
+            return owner.astype(self.contact.near.owner.dtype), jnp.sqrt(dot(r, r))
+
+        return filled(distance, count, self.room.pairs, REST)
+
+    def _between(self, found: Array, pairs: Array, x: Array) -> tuple[Array, Vec]:
+        """Places of pairs of sites in the list of pairs of triangles, and the ways from one site to the
+        other."""
+        row, other = split(pairs, self.lattice.count)
+        owner, site = split(found[row], self.lattice.count)
+        here = self.lattice.point(site, gather(x, self.first[owner]))
+        return owner, sub(here, self.lattice.point(other, gather(x, self.second[owner])))
 
 
 def _in_all(count: Array, whole: Array, part: Array) -> Array:
@@ -151,16 +167,16 @@ def _near_triangles(contact: "Contact", around: Around) -> tuple[Array, Array, A
     size = candidates.triangles.shape[0]
     rough, count = compacted(overlap, jnp.minimum(candidates.count, size), 1, size, BOXES)
 
-    def distances(at: Array) -> Array:
+    def distances(at: Array) -> tuple[Array, Array]:
         first, second = (faces[candidates.triangles[rough[at], side]] for side in range(2))
         whole, parts = _distances(around.x, first, second)
-        return jnp.stack([whole - _limit(contact, around, first, second), parts], axis=1)
+        return whole - _limit(contact, around, first, second), parts
 
-    beyond = filled(distances, count, (size, 2), PAIRS)
+    beyond, apart = filled(distances, count, size, PAIRS)
     places, pair_count = compacted(
-        lambda at: (beyond[at, 0] <= 0)[:, None], count, 1, contact.near.room.triangles, BOXES
+        lambda at: (beyond[at] <= 0)[:, None], count, 1, contact.near.room.triangles, BOXES
     )
-    return candidates.triangles[rough[places]], beyond[places, 1], pair_count
+    return candidates.triangles[rough[places]], apart[places], pair_count
 
 
 def _limit(contact: "Contact", around: Around, first: Array, second: Array) -> Array:

@@ -44,7 +44,7 @@ IMPLICIT_COST, EXPLICIT_COST = 32, 1
 EXPLICIT_LOG_EVERY = 16
 LOG_CAPACITY = BUDGET // IMPLICIT_COST + BUDGET // EXPLICIT_LOG_EVERY + 64
 # Steps of a stage from one measurement of the stability limit to the next: it follows the folding.
-LIMIT_EVERY = 32
+LIMIT_EVERY = 64
 # Lists of contact are made to hold for this many explicit steps.
 LOOK_AHEAD = 16
 # Rounds of lists and changes of stage, without a step between, after which a call ends.
@@ -123,7 +123,7 @@ def _renewed(scene: Scene, carry: _Carry, solver: Integrator) -> _Carry:
     state, lists = renewed(scene, carry.state, carry.lists)
     now, waiting = listed(scene, lists), waits(state)
     due = _limit_is_due(carry) & ~waiting
-    limit = where_needed(due, solver.stability_limit, state.limit, now, state.x, state.t, state.p)
+    limit = where_needed(due, solver.measured, state.limit, now, state.x, state.t, state.p)
     measured = state.monitor.measured | due
     state = eqx.tree_at(lambda s: (s.limit, s.monitor.measured), state, (limit, measured))
     unsound = ~_is_sound(scene, state) & ~waiting
@@ -144,7 +144,7 @@ def _restores(carry: _Carry) -> Array:
 
 def _is_sound(scene: Scene, state: State) -> Array:
     """Whether stability limit and scales are finite: where they are not, no step can end well."""
-    numbers = (state.limit, scene.reference_acceleration, scene.velocity_scale, scene.length_scale)
+    numbers = (state.limit.step, scene.reference_acceleration, scene.velocity_scale, scene.length_scale)
     return jnp.all(jnp.isfinite(jnp.stack(numbers)))
 
 

@@ -14,11 +14,11 @@ from jaxcrumple.solvers.implicit import AbstractImplicit
 from jaxcrumple.solvers.linear import AbstractLinearSolver
 from jaxcrumple.solvers.pair import BDFPair
 from jaxcrumple.solvers.runge_kutta import RungeKutta
-from jaxcrumple.solvers.stability import fastest
+from jaxcrumple.solvers.stability import fastest, wall_stiffness
 from jaxcrumple.solvers.switch import Switch
 from jaxcrumple.solvers.variable_order import VariableOrder
 from jaxcrumple.solvers.verlet import Verlet
-from jaxcrumple.state import EXPLICIT, IMPLICIT, QUASISTATIC, State
+from jaxcrumple.state import EXPLICIT, IMPLICIT, QUASISTATIC, Limit, State
 
 Scheme = Literal["hybrid", "dynamic", "alternating", "quasistatic", "explicit", "paper"]
 SCHEMES = get_args(Scheme)
@@ -55,9 +55,12 @@ class Integrator(eqx.Module):
         return stage in self.stages
 
     def stability_limit(self, scene: Scene, x: Array, t: Array, p: Array | None = None) -> Array:
-        """Largest stable explicit step in s at positions `x` (n, 3), time `t` and rest curvatures `p` (h,),
-        were there no walls."""
+        """Largest stable explicit step in s at positions `x` (n, 3), time `t` and rest curvatures `p` (h,)."""
         return self._method.stable(fastest(scene, x, t, p))
+
+    def measured(self, scene: Scene, x: Array, t: Array, p: Array | None) -> Limit:
+        """The limit that a state keeps."""
+        return Limit(self.stability_limit(scene, x, t, p), wall_stiffness(scene, x, t))
 
     def limit(self, scene: Scene, state: State) -> Array:
         """Largest stable explicit step in s at a state: the scale of the shortest steps also where the scheme

@@ -10,6 +10,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from jaxcrumple.model.scene import Scene
+from jaxcrumple.state import Limit
 from jaxcrumple.system import elastic_tangent
 
 # Steps of Lanczos's method: in flat, folded and pressed sheets their bound is 6 to 12 % above the largest
@@ -30,20 +31,22 @@ class Fastest(NamedTuple):
 
 def fastest(scene: Scene, x: Array, t: ArrayLike = 0.0, p: Array | None = None) -> Fastest:
     """Bounds for the motion at positions `x` (n, 3), time `t` and rest curvatures `p` (h,), by default those
-    without damage, were there no walls, for which see `beside_walls`.
+    without damage.
 
     Those of the elastic tangent itself: bounds from its elements are 2.8 times as high where layers press one
     another. Damping enters as $\\omega^2 b_{int}/k_s$ and $b_{iso}/m$, the largest decay rates.
     """
-    scene, x, p = jax.lax.stop_gradient((eqx.tree_at(lambda s: s.walls, scene, ()), x, p))
-    values, pattern = elastic_tangent(scene, x, p, jnp.asarray(t), nearer=True), scene.pattern
-    rows, root = pattern.expand(values), jnp.repeat(scene.mass, 3) ** -0.5
+    scene, x, p = jax.lax.stop_gradient((scene, x, p))
+    own = _alone(scene)
+    rows, root = own.pattern.expand(elastic_tangent(own, x, p, jnp.asarray(t))), scene.mass[:, None] ** -0.5
+    pushed = None if scene.contact is None else scene.contact.nearer_product(x)
 
     def product(u: Array) -> Array:
         u = root * u
-        return root * (pattern.expanded_product(rows, u) + pattern.contact_product(values, u))
+        forces = own.pattern.expanded_product(rows, u.reshape(-1)).reshape(u.shape)
+        return root * (forces if pushed is None else forces + pushed(u))
 
-    omega_sq = largest_eigenvalue(product, x.size)
+    omega_sq = largest_eigenvalue(product, x.shape)
     damping = drag = jnp.zeros(())
     if scene.damping is not None:
         damping = omega_sq * jnp.max(scene.damping.coefficient / scene.membrane.stiffness)
@@ -52,24 +55,37 @@ def fastest(scene: Scene, x: Array, t: ArrayLike = 0.0, p: Array | None = None) 
     return Fastest(jnp.sqrt(omega_sq), damping, drag)
 
 
-def beside_walls(scene: Scene, limit: Array, x: Array, t: Array, undamped: Array) -> Array:
-    """What walls leave of the largest stable step of `limit` s without them, at positions `x` (n, 3) and time
-    `t`. `undamped`: product of step and frequency that is stable without damping.
+def _alone(scene: Scene) -> Scene:
+    """The sheet without self-contact."""
+    absent = (None, None)
+    return eqx.tree_at(
+        lambda s: (s.contact, s.pattern.contact), scene, absent, is_leaf=lambda leaf: leaf is None
+    )
+
+
+def wall_stiffness(scene: Scene, x: Array, t: ArrayLike) -> Array:
+    """Largest stiffness (n,) in N/m by which walls hold each node at positions `x` (n, 3) and time `t`."""
+    return sum((wall.stiffness_bound(x, jnp.asarray(t)) for wall in scene.walls), jnp.zeros(scene.n_nodes))
+
+
+def beside_walls(scene: Scene, limit: Limit, x: Array, t: Array, undamped: Array) -> Array:
+    """The largest stable step in s at positions `x` (n, 3) and time `t`, not long after a `limit` was measured.
+    `undamped`: product of step and frequency that is stable without damping.
 
     A node that meets a wall stiffens without bound within few steps, so that this is looked at in each. Squares
     of frequencies add up at most (Weyl's inequality); dashpots, by which the limit falls with their rate
     itself, leave the least: $r + (\\omega_w \\cdot \\text{limit}/\\text{undamped})^2 r^2 = 1$ for the share r.
     """
     if not scene.walls:
-        return limit
-    stiffness = sum(wall.stiffness_bound(x, t) for wall in scene.walls)
-    share = jnp.max(stiffness / scene.mass) * (limit / undamped) ** 2
-    return limit * 2.0 / (1.0 + jnp.sqrt(1.0 + 4.0 * share))
+        return limit.step
+    grown = jnp.maximum(wall_stiffness(scene, x, t) - limit.walls, 0.0)
+    share = jnp.max(grown / scene.mass) * (limit.step / undamped) ** 2
+    return limit.step * 2.0 / (1.0 + jnp.sqrt(1.0 + 4.0 * share))
 
 
-def largest_eigenvalue(product: Callable[[Array], Array], size: int) -> Array:
+def largest_eigenvalue(product: Callable[[Array], Array], shape: tuple[int, ...]) -> Array:
     """Bound of the largest eigenvalue, or 0 where none is positive, of a symmetric matrix that a `product`
-    with vectors (`size`,) stands for.
+    with vectors of a `shape` stands for.
 
     The largest one in the space of a few steps of Lanczos's method from a random vector, always the same,
     and the norm of what the last step leaves (Zhou & Li, Linear Algebra Appl. 435, 2011, 480).
@@ -78,16 +94,20 @@ def largest_eigenvalue(product: Callable[[Array], Array], size: int) -> Array:
     def step(carry: tuple[Array, Array, Array], _: None) -> tuple[tuple[Array, Array, Array], Array]:
         before, u, length = carry
         image = product(u) - length * before
-        along = u @ image
+        along = jnp.sum(u * image)
         image = image - along * u
-        length = jnp.linalg.norm(image)
+        length = _length(image)
         return (u, image / jnp.where(length > 0, length, 1.0), length), jnp.stack([along, length])
 
-    start = jax.random.normal(jax.random.key(0), (size,))
-    first = jnp.zeros(size), start / jnp.linalg.norm(start), jnp.zeros(())
+    start = jax.random.normal(jax.random.key(0), shape)
+    first = jnp.zeros(shape), start / _length(start), jnp.zeros(())
     along, length = jax.lax.scan(step, first, None, length=STEPS)[1].T
     inner = jnp.diag(along) + jnp.diag(length[:-1], 1) + jnp.diag(length[:-1], -1)
     return jnp.maximum(_largest(inner) + length[-1], 0.0)
+
+
+def _length(u: Array) -> Array:
+    return jnp.sqrt(jnp.sum(u * u))
 
 
 def _largest(a: Array) -> Array:
