@@ -55,7 +55,7 @@ LEAST = 0.25
 # share of that at rest; and the share ahead of a step that may end a little elsewhere.
 APART, APART_AHEAD = 0.55, 0.6
 # Pairs of sites that are looked at together: those in the list, and those that interact.
-LISTED, ACTIVE = 1024, 512
+LISTED, ACTIVE = 4096, 512
 
 
 def pair_energy(distance: Array, stiffness: Array, sigma: Array, core: Array | float | None = None) -> Array:
