@@ -15,6 +15,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from jaxcrumple.model.fields import as_float
+from jaxcrumple.model.geometry import dot
 
 # Nearness s from which the law goes on as its Taylor polynomial of second order: so Newton's iterates may lie
 # behind the wall and come back. There a node is pushed with 832 k_w sigma; steps that end behind are
@@ -73,7 +74,7 @@ class Sphere(AbstractShape):
     def gap(self, point: Array, t: Array) -> Array:
         """Radius minus distance from the centre."""
         offset = point - self.center
-        return self.radius(t) - jnp.sqrt(offset @ offset + TINY)
+        return self.radius(t) - jnp.sqrt(dot(offset, offset) + TINY)
 
 
 class Cylinder(AbstractShape):
@@ -89,8 +90,8 @@ class Cylinder(AbstractShape):
     def gap(self, point: Array, t: Array) -> Array:
         """Radius minus distance from the axis."""
         offset = point - self.center
-        radial = offset - (offset @ self.axis) * self.axis
-        return self.radius(t) - jnp.sqrt(radial @ radial + TINY)
+        radial = offset - dot(offset, self.axis) * self.axis
+        return self.radius(t) - jnp.sqrt(dot(radial, radial) + TINY)
 
 
 class Plane(AbstractShape):
@@ -104,7 +105,7 @@ class Plane(AbstractShape):
 
     def gap(self, point: Array, t: Array) -> Array:
         """Height above the plane."""
-        return self.normal @ point - self.offset(t)
+        return dot(self.normal, point) - self.offset(t)
 
 
 class Cone(AbstractShape):
@@ -122,9 +123,9 @@ class Cone(AbstractShape):
     def gap(self, point: Array, t: Array) -> Array:
         """Distance from the cone's surface."""
         offset = point - self.center
-        along = offset @ self.axis
+        along = dot(offset, self.axis)
         radial = offset - along * self.axis
-        distance = jnp.sqrt(radial @ radial + TINY)
+        distance = jnp.sqrt(dot(radial, radial) + TINY)
         return (along - self.height(t)) * jnp.sin(self.half_angle) - distance * jnp.cos(self.half_angle)
 
 
@@ -142,7 +143,7 @@ class Ball(AbstractShape):
     def gap(self, point: Array, t: Array) -> Array:
         """Distance from the centre minus radius."""
         offset = point - self.center - self.height(t) * self.axis
-        return jnp.sqrt(offset @ offset + TINY) - self.radius
+        return jnp.sqrt(dot(offset, offset) + TINY) - self.radius
 
 
 class Opening(AbstractShape):
@@ -161,9 +162,9 @@ class Opening(AbstractShape):
     def gap(self, point: Array, t: Array) -> Array:
         """Distance from the plate's surface."""
         offset = point - self.center
-        along = offset @ self.axis
+        along = dot(offset, self.axis)
         radial = offset - along * self.axis
-        inside = jnp.maximum(self.radius(t) + self.edge - jnp.sqrt(radial @ radial + TINY), 0.0)
+        inside = jnp.maximum(self.radius(t) + self.edge - jnp.sqrt(dot(radial, radial) + TINY), 0.0)
         return jnp.sqrt(inside**2 + along**2 + TINY) - self.edge
 
 

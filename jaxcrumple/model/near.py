@@ -16,6 +16,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxcrumple.model.geometry import dot
+
 # Sites that are nearer than this many ranges in the rest state never interact.
 EXCLUSION = 2.0
 # Behind the keys of all pairs of triangles.
@@ -145,7 +147,7 @@ def motion(start: Array, end: Array) -> Array:
     """Distance (n,) that each node moved, less the mean motion."""
     moved = end - start
     moved = moved - jnp.mean(moved, axis=0)
-    return jnp.sqrt(jnp.sum(moved * moved, axis=1))
+    return jnp.sqrt(dot(moved.T, moved.T))
 
 
 def nowhere(n: int) -> Around:
