@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from jaxcrumple.model.contact import Contact
 from jaxcrumple.model.fields import is_known
@@ -133,13 +134,15 @@ class Linearization(eqx.Module):
 
 
 class Monitor(eqx.Module):
-    """The acceleration monitor: last ratios a_max/a_ref, steps and time since the stage began, and whether
-    the stability limit was measured since the last step."""
+    """The acceleration monitor: last ratios a_max/a_ref, steps and time since the stage began, whether the
+    stability limit was measured since the last step, and how many implicit stages in a row were `futile`:
+    over at once."""
 
     ratios: Array
     steps: Array
     since: Array
     measured: Array
+    futile: Array
 
 
 class Counters(eqx.Module):
@@ -275,9 +278,10 @@ def initial_state(
     )
 
 
-def fresh_monitor(window: int) -> Monitor:
-    """Monitor at the start of a stage, of the last `window` steps."""
-    return Monitor(jnp.zeros(window), jnp.asarray(0, int), jnp.asarray(0.0, float), jnp.asarray(False))
+def fresh_monitor(window: int, futile: ArrayLike = 0) -> Monitor:
+    """Monitor at the start of a stage, of the last `window` steps, after so many `futile` stages."""
+    zero, futile = jnp.asarray(0, int), jnp.asarray(futile, int)
+    return Monitor(jnp.zeros(window), zero, jnp.asarray(0.0, float), jnp.asarray(False), futile)
 
 
 def _memory(

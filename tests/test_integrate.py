@@ -18,7 +18,9 @@ from jaxcrumple.model.scene import sheet
 from jaxcrumple.scenes import radial
 from jaxcrumple.simulate import ENERGIES, SimulationError, frame_times, simulate
 from jaxcrumple.solvers.choice import direct_available
+from jaxcrumple.solvers.handover import Handover, after_explicit, handed_over
 from jaxcrumple.solvers.integrate import LIMIT_EVERY, integrate
+from jaxcrumple.solvers.log import empty_log
 from jaxcrumple.solvers.scheme import SCHEMES, integrator
 from jaxcrumple.solvers.switch import Switch
 from jaxcrumple.state import EXPLICIT, IMPLICIT, QUASISTATIC, STAGES, initial_state
@@ -347,3 +349,27 @@ def test_vmap_over_wall_speeds_equals_single_runs():
         np.testing.assert_allclose(both.p[lane], alone.p, atol=1e-9)
         assert int(alone.counters.steps[IMPLICIT]) > 0
     assert float(jnp.max(jnp.abs(both.x[0] - both.x[1]))) > 1e-6
+
+
+def test_futile_tries_of_implicit_steps_become_rare():
+    """Stages over within few steps double the explicit spell after them, up to eight times; a long one ends
+    that."""
+    scene, log = setup().scene, empty_log(64, NODES)
+    state, cap = eqx.tree_at(lambda s: s.stage, start(), jnp.asarray(IMPLICIT)), jnp.asarray(1e-6)
+    spells = []
+    for steps in (3, 3, 3, 3, 3, 50, 3):
+        state = eqx.tree_at(lambda s: s.monitor.steps, state, jnp.asarray(steps))
+        state, log = handed_over(scene, state, log, Handover(jnp.asarray(EXPLICIT), cap))
+        spell = next(
+            spell
+            for spell in 100 * 2 ** np.arange(8)
+            if int(after(eqx.tree_at(lambda s: s.monitor.since, state, 1.01 * spell * cap), cap)) == IMPLICIT
+        )
+        spells.append(int(spell))
+        state, log = handed_over(scene, state, log, Handover(jnp.asarray(IMPLICIT), 20.0 * cap))
+    assert spells == [800, 1600, 3200, 3200, 3200, 400, 800]
+
+
+def after(state, cap):
+    """The stage that an explicit step asks for."""
+    return after_explicit(setup().scene, state, jnp.asarray(True), cap, solver(scheme="hybrid")).stage

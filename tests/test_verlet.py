@@ -9,11 +9,12 @@ from lattice import constants, elastic, lattice, strip_scene, with_terms
 from test_waves import patch
 
 import jaxcrumple as jc
+from jaxcrumple.model.confinement import Plane, Wall
 from jaxcrumple.solvers.explicit import slopes_at, with_slopes
 from jaxcrumple.solvers.runge_kutta import RungeKutta
 from jaxcrumple.solvers.stability import Fastest, fastest
 from jaxcrumple.solvers.verlet import Verlet, verlet
-from jaxcrumple.state import initial_state
+from jaxcrumple.state import CAUSES, initial_state
 from jaxcrumple.system import energies
 
 
@@ -138,3 +139,21 @@ def test_the_energy_of_an_undamped_sheet_stays():
         swings.append([float(sum(energies(scene, *end, 0.0))) / first - 1 for end in ends])
     assert np.max(np.abs(swings[0])) < 0.08
     assert np.max(np.abs(swings[1])) < 0.4 * np.max(np.abs(swings[0])) + 1e-6
+
+
+@pytest.mark.parametrize(("speed", "share"), [(1.0, 1e-4), (10.0, 5e-3), (50.0, 0.1)])
+def test_a_sheet_thrown_at_a_wall_comes_back_with_its_energy(speed, share):
+    """At the highest speed a step that is stable without the wall goes as far as the wall reaches."""
+    mesh, still = lattice(6, 4), elastic(drag_rate=0.0, internal_damping_time=0.0)
+    alone, reach, height = jc.sheet(mesh, still), 3e-5, 5e-4
+    wall = Wall(Plane((0.0, 0.0, 1.0), 0.0), 0.1 * np.full(mesh.n_nodes, constants(alone)[0]), reach)
+    scene = jc.sheet(mesh, still, walls=(wall,))
+    x = jnp.asarray(mesh.vertices).at[:, 2].set(height)
+    start = initial_state(scene, x, jnp.zeros_like(x).at[:, 2].set(-speed))
+    solver = jc.integrator(scheme="explicit")
+    solver = eqx.tree_at(lambda s: s.explicit, solver, Verlet(jnp.asarray(1e-2)))
+    end = jc.simulate(scene, start, 2.2 * height / speed, solver=solver, throw=True).state
+    before, after = (sum(map(float, energies(scene, s.x, s.v, s.p, s.t))) for s in (start, end))
+    assert after / before == pytest.approx(1.0, abs=share)
+    assert float(jnp.mean(end.v[:, 2])) > 0.95 * speed
+    assert int(end.counters.rejected[CAUSES.index("contact")]) == (2 if speed > 10.0 else 0)

@@ -33,8 +33,9 @@ COLLAPSE = 0.05
 LOST = 0.02
 # An implicit step costs as much as this many explicit ones; one that is not longer gives way to them.
 BREAK_EVEN = 20
-# Explicit steps, in stability limits, before the implicit stage is tried again.
-SPELL = 400
+# Explicit steps, in stability limits, before the implicit stage is tried again: twice as many after each try
+# that ended within so few steps, up to so many times.
+SPELL, FUTILE, PATIENCE = 400, 10, 3
 
 
 class Handover(NamedTuple):
@@ -80,7 +81,8 @@ def after_implicit(
 def after_explicit(scene: Scene, state: State, accepted: Array, cap: Array, solver: Integrator) -> Handover:
     """Whether an explicit stage, whose steps are at most `cap` s long, need not go on after a step."""
     if solver.has(IMPLICIT):
-        over = accepted & (state.monitor.since > SPELL * cap)
+        spell = SPELL * 2 ** jnp.minimum(state.monitor.futile, PATIENCE)
+        over = accepted & (state.monitor.since > spell * cap)
         return stay(state).when(over, IMPLICIT, BREAK_EVEN * cap)
     if solver.has(QUASISTATIC):
         settled = accepted & has_settled(scene, state.monitor, solver.switch)
@@ -107,6 +109,9 @@ def _changed(state: State, handover: Handover) -> State:
     fresh = restart_history(state.x, state.v, state.p)
     ended = select(explicit, state.history, kept)
     history = select(state.stage == EXPLICIT, fresh, ended)
+    monitor = state.monitor
+    tried = jnp.where(monitor.steps < FUTILE, monitor.futile + 1, 0)
+    futile = jnp.where(state.stage == EXPLICIT, monitor.futile, tried)
     return eqx.tree_at(
         lambda s: (
             s.stage,
@@ -125,7 +130,7 @@ def _changed(state: State, handover: Handover) -> State:
             jnp.where(explicit, state.h, handover.h),
             jnp.where(explicit, handover.h, state.h_explicit),
             history,
-            fresh_monitor(state.monitor.ratios.shape[0]),
+            fresh_monitor(monitor.ratios.shape[0], futile),
             state.counters.switches + 1,
             jnp.asarray(NEVER, int),
         ),

@@ -70,7 +70,7 @@ def observe(
     counted = (stage != QUASISTATIC) | (monitor.steps >= switch.ignore)
     ratio = jnp.where(counted, largest / scene.reference_acceleration, 0.0)
     ratios = jnp.concatenate([ratio[None], monitor.ratios[:-1]])
-    seen = Monitor(ratios, monitor.steps + 1, monitor.since + h, jnp.asarray(False))
+    seen = Monitor(ratios, monitor.steps + 1, monitor.since + h, jnp.asarray(False), monitor.futile)
     restless = (stage == IMPLICIT) & (switch.measured(scene, seen) >= switch.down)
     return eqx.tree_at(lambda m: m.since, seen, jnp.where(restless, 0.0, seen.since))
 
