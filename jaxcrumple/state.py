@@ -202,7 +202,7 @@ class Listing(eqx.Module):
 
 
 class Limit(NamedTuple):
-    """Largest stable explicit `step` in s where it was measured, and the stiffness (n,) in N/m that `walls` had
+    """Largest stable explicit `step` in s where it was measured, and the stiffness (n,) in N/m of `walls`
     there."""
 
     step: Array

@@ -45,7 +45,7 @@ BARRIER_SPACING = 0.5
 CORE = 1.05 * 2.0 / np.sqrt(3.0)
 # The largest core in ranges: what is left is where the barrier rises.
 WIDEST_CORE = 0.75
-# Room for motion that a tangent which is to hold for a while leaves: distances are this much of what they are.
+# Room for motion that a tangent which is to hold for a while leaves: distances are so much of what they are.
 CLOSER = 0.98
 # Share of the lowest triangle's height that separates triangles without a common node in a flat sheet.
 CALM = 0.8

@@ -36,8 +36,8 @@ def scale(s: Array | float, a: Vec) -> Vec:
     return (s * a[0], s * a[1], s * a[2])
 
 
-def dot(a: Vec, b: Vec) -> Array:
-    """Scalar product."""
+def dot(a: Vec | Array, b: Vec | Array) -> Array:
+    """Scalar product, also of arrays whose first axis counts the components."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 

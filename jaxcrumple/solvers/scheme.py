@@ -55,7 +55,7 @@ class Integrator(eqx.Module):
         return stage in self.stages
 
     def stability_limit(self, scene: Scene, x: Array, t: Array, p: Array | None = None) -> Array:
-        """Largest stable explicit step in s at positions `x` (n, 3), time `t` and rest curvatures `p` (h,)."""
+        """Largest stable explicit step in s at positions `x` (n, 3), time `t`, rest curvatures `p` (h,)."""
         return self._method.stable(fastest(scene, x, t, p))
 
     def measured(self, scene: Scene, x: Array, t: Array, p: Array | None) -> Limit:

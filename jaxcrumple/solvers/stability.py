@@ -69,12 +69,13 @@ def wall_stiffness(scene: Scene, x: Array, t: ArrayLike) -> Array:
 
 
 def beside_walls(scene: Scene, limit: Limit, x: Array, t: Array, undamped: Array) -> Array:
-    """The largest stable step in s at positions `x` (n, 3) and time `t`, not long after a `limit` was measured.
-    `undamped`: product of step and frequency that is stable without damping.
+    """The largest stable step in s at positions `x` (n, 3) and time `t`, not long after a `limit` was
+    measured. `undamped`: product of step and frequency that is stable without damping.
 
-    A node that meets a wall stiffens without bound within few steps, so that this is looked at in each. Squares
-    of frequencies add up at most (Weyl's inequality); dashpots, by which the limit falls with their rate
-    itself, leave the least: $r + (\\omega_w \\cdot \\text{limit}/\\text{undamped})^2 r^2 = 1$ for the share r.
+    A node that meets a wall stiffens without bound within few steps, so that this is looked at in each.
+    Squares of frequencies add up at most (Weyl's inequality); dashpots, by which the limit falls with their
+    rate itself, leave the least: a share r with $r + (\\omega_w h / z)^2 r^2 = 1$, where h is the limit, z
+    `undamped`, and the walls became stiffer by $m \\omega_w^2$.
     """
     if not scene.walls:
         return limit.step
