@@ -65,13 +65,6 @@ class AbstractExplicit(eqx.Module):
     def stable(motion: Fastest) -> Array:
         """Largest stable step in s."""
 
-    @classmethod
-    def limit(cls, scene: Scene, state: State, x: Array, t: Array) -> Array:
-        """Largest stable step in s at positions `x` (n, 3) and time `t`, not long after those of a state."""
-        nought = jnp.zeros(())
-        undamped = cls.stable(Fastest(jnp.ones(()), nought, nought))
-        return beside_walls(scene, state.limit, x, t, undamped)
-
     @abc.abstractmethod
     def step(self, scene: Scene, state: State, h: Array) -> Tried:
         """A step of `h` s from a state whose slopes are known."""
@@ -92,7 +85,7 @@ class AbstractExplicit(eqx.Module):
         keep, next_h = self._resized(units, state.t, h, cap)
         next_h = jnp.where(finite, next_h, 0.25 * h)
         good = keep & finite
-        unstable = h > self.limit(scene, state, tried.x, t1)
+        unstable = h > beside_walls(scene, state.limit, tried.x, t1, self.stable)
         stopped = good & (unstable | passes(scene, state, tried.x, t1))
         next_h = jnp.where(stopped, 0.4 * h, next_h)
         cause = jnp.where(finite, CAUSES.index("error"), CAUSES.index("nonfinite"))

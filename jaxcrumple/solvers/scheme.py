@@ -14,7 +14,7 @@ from jaxcrumple.solvers.implicit import AbstractImplicit
 from jaxcrumple.solvers.linear import AbstractLinearSolver
 from jaxcrumple.solvers.pair import BDFPair
 from jaxcrumple.solvers.runge_kutta import RungeKutta
-from jaxcrumple.solvers.stability import fastest, wall_stiffness
+from jaxcrumple.solvers.stability import beside_walls, fastest, wall_stiffness
 from jaxcrumple.solvers.switch import Switch
 from jaxcrumple.solvers.variable_order import VariableOrder
 from jaxcrumple.solvers.verlet import Verlet
@@ -65,7 +65,7 @@ class Integrator(eqx.Module):
     def limit(self, scene: Scene, state: State) -> Array:
         """Largest stable explicit step in s at a state: the scale of the shortest steps also where the scheme
         has no explicit ones."""
-        return self._method.limit(scene, state, state.x, state.t)
+        return beside_walls(scene, state.limit, state.x, state.t, self._method.stable)
 
     @property
     def _method(self) -> type[AbstractExplicit]:

@@ -68,17 +68,21 @@ def wall_stiffness(scene: Scene, x: Array, t: ArrayLike) -> Array:
     return sum((wall.stiffness_bound(x, jnp.asarray(t)) for wall in scene.walls), jnp.zeros(scene.n_nodes))
 
 
-def beside_walls(scene: Scene, limit: Limit, x: Array, t: Array, undamped: Array) -> Array:
-    """The largest stable step in s at positions `x` (n, 3) and time `t`, not long after a `limit` was
-    measured. `undamped`: product of step and frequency that is stable without damping.
+def beside_walls(
+    scene: Scene, limit: Limit, x: Array, t: Array, stable: Callable[[Fastest], Array]
+) -> Array:
+    """The largest stable step in s at positions `x` (n, 3) and time `t`, not long after the `limit` of a
+    method, which tells what is `stable`, was measured.
 
     A node that meets a wall stiffens without bound within few steps, so that this is looked at in each.
     Squares of frequencies add up at most (Weyl's inequality); dashpots, by which the limit falls with their
     rate itself, leave the least: a share r with $r + (\\omega_w h / z)^2 r^2 = 1$, where h is the limit, z
-    `undamped`, and the walls became stiffer by $m \\omega_w^2$.
+    the product of step and frequency that is stable without damping, and the walls became stiffer by
+    $m \\omega_w^2$.
     """
     if not scene.walls:
         return limit.step
+    undamped = stable(Fastest(jnp.ones(()), jnp.zeros(()), jnp.zeros(())))
     grown = jnp.maximum(wall_stiffness(scene, x, t) - limit.walls, 0.0)
     share = jnp.max(grown / scene.mass) * (limit.step / undamped) ** 2
     return limit.step * 2.0 / (1.0 + jnp.sqrt(1.0 + 4.0 * share))
