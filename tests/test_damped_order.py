@@ -49,6 +49,7 @@ def crumpled(rtol, drag=5e3, **options):
     return simulate(setup.scene, state, [0.1, 0.2, 0.3], solver=solver, throw=True)
 
 
+@pytest.mark.slow
 def test_high_order_takes_fewer_steps_to_a_smaller_error():
     reference, size = crumpled(1e-6, max_order=2), 0.1
     low, high = (crumpled(2.5e-4, max_order=order) for order in (2, 5))

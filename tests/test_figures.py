@@ -110,6 +110,7 @@ def test_figures_are_drawn_with_the_data_behind_them(rolled, tmp_path, name):
     assert all(len(pd.read_csv(path)) for path in paths if path.suffix == ".csv")
 
 
+@pytest.mark.slow
 def test_a_figure_does_only_the_runs_that_are_missing(tmp_path):
     settings = {"sweeps": 2, "frames": 2, "contact": None}
     configs = {str(seed): jc.configure("radial", nodes=60, seed=seed, t_end=2e-3, settings=settings)

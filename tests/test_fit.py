@@ -69,6 +69,7 @@ def test_least_squares_finds_the_drag_and_how_well_it_is_known(found):
     assert found.snaps == 1 and found.history["snaps"].iloc[-1] == 1
 
 
+@pytest.mark.slow
 def test_an_optimiser_finds_the_same(found):
     again = falling(method=optax.adam(0.2), max_steps=25)
     assert again.values["rate"] == pytest.approx(found.values["rate"], rel=2e-2)

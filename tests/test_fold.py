@@ -51,6 +51,7 @@ def test_the_angle_of_a_sharp_fold():
         jc.fold(100, gap=4e-4)
 
 
+@pytest.mark.slow
 def test_the_command_finds_the_yield_curvature_of_a_fold(tmp_path):
     """That of a run which kept that angle, in few derivatives; and says how well it is known."""
     true, nodes, path = 28.0, 60, tmp_path / "found.json"

@@ -190,6 +190,7 @@ def test_a_snap_switches_to_inertia_and_back():
     assert np.all(events["kinetic_after"] > 0)
 
 
+@pytest.mark.slow
 def test_what_the_switch_leaves_out_vanishes_with_the_tolerance():
     """Quasistatic steps leave inertia out; their switch makes them converge to inertia throughout."""
     sheet = radial(NODES, sweeps=5, contact=None, material=Material(drag_rate=400.0))

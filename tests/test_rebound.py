@@ -79,7 +79,12 @@ def bounce(scene, x, upper):
 
 
 @pytest.mark.parametrize(
-    ("scheme", "rtol", "loss"), [("explicit", 1e-3, 1e-4), ("dynamic", 1e-3, 3e-3), ("dynamic", 1e-4, 3e-4)]
+    ("scheme", "rtol", "loss"),
+    [
+        pytest.param("explicit", 1e-3, 1e-4, marks=pytest.mark.slow),
+        ("dynamic", 1e-3, 3e-3),
+        ("dynamic", 1e-4, 3e-4),
+    ],
 )
 def test_layers_rebound_with_their_energy_and_in_time(scheme, rtol, loss):
     """The speed after the bounce is that before it, but for an error that falls with the tolerance; nothing

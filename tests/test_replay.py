@@ -145,6 +145,7 @@ def gradient(slopes):
     return slopes(1.0)
 
 
+@pytest.mark.slow
 def test_derivatives_of_the_recorded_steps_need_no_solution(run, gradient):
     """They differ by the error that the run's Newton iteration left."""
     scene, solution = run
@@ -164,6 +165,7 @@ def test_derivatives_of_the_recorded_steps_need_no_solution(run, gradient):
             np.testing.assert_allclose(leaf(taken), expected, atol=1e-4 * size, rtol=0, err_msg=name)
 
 
+@pytest.mark.slow
 def test_cotangents_may_be_tiny_or_nothing(slopes, gradient):
     """Also such whose squares are rounded to nothing."""
     numbers = [jax.tree.leaves(eqx.filter(slopes(scale), eqx.is_array)) for scale in (1e-200, 0.0)]

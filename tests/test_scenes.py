@@ -104,6 +104,7 @@ def test_a_shell_is_a_cap_of_a_ball():
     np.testing.assert_allclose(0.06 * angle, np.linalg.norm(flat, axis=1), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_stamping_leaves_the_sheet_between_ball_and_die():
     setup = jc.stamping(
         80, radius=0.05, gap=8e-3, speed=0.1, contact=None, material=jc.Material(drag_rate=1e4)
@@ -115,6 +116,7 @@ def test_stamping_leaves_the_sheet_between_ball_and_die():
     assert np.all((distance > 0.053 - 8e-3) & (distance < 0.053))
 
 
+@pytest.mark.slow
 def test_what_is_pulled_through_a_hole_has_passed_it():
     setup = jc.conical(120, pull=0.02, speed=0.2, contact=None, material=jc.Material(drag_rate=1e4))
     solution = jc.simulate(setup.scene, jc.initial_state(setup.scene, setup.x), 0.1)

@@ -171,6 +171,7 @@ def test_a_barrier_is_finite_where_a_fold_is_sharp():
     assert np.all(np.isfinite(contact.force(x)))
 
 
+@pytest.mark.slow
 def test_a_sheet_whose_triangles_all_share_a_node_has_no_contact():
     angle = np.arange(6) * np.pi / 3
     rim = 1e-2 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -195,7 +196,11 @@ def test_a_sheet_whose_triangles_all_share_a_node_has_no_contact():
 
 
 @pytest.mark.parametrize(
-    ("potential", "level", "gap", "stiffer"), [("penalty", 7, 0.35, 0.9), ("barrier", None, 0.75, 1.5)]
+    ("potential", "level", "gap", "stiffer"),
+    [
+        pytest.param("penalty", 7, 0.35, 0.9, marks=pytest.mark.slow),
+        ("barrier", None, 0.75, 1.5),
+    ],
 )
 def test_stability_limit_of_layers_that_press_one_another(potential, level, gap, stiffer):
     """Those next to a barrier's core are stiffer by far than the sheet alone; 0.98 of the way to each other

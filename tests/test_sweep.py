@@ -117,6 +117,7 @@ def client():
         yield client
 
 
+@pytest.mark.slow
 def test_processes_give_the_same_table(swept, client):
     told = []
     options = {"settings": SETTINGS, "measure": positions, "cluster": client}
@@ -135,6 +136,7 @@ pickle.dump(test_sweep.batch(), open(sys.argv[1], "wb"))
 """
 
 
+@pytest.mark.slow
 def test_devices_that_share_the_lanes_give_the_same_table(swept, tmp_path):
     """Three lanes on four devices, and four lanes on three of them."""
     file = tmp_path / "table"

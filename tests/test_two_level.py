@@ -181,6 +181,7 @@ def test_factorisations_wait_for_each_other():
     assert found == [False, True]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", [TwoLevel(), BlockCG()], ids=["two-level", "block-cg"])
 def test_layers_that_press_one_another_are_not_taken_for_unstable(solver):
     gap, sigma = 0.95e-3, 1e-3
