@@ -44,7 +44,7 @@ def growth(run: Run) -> pd.DataFrame:
 def _draw(runs: Runs, folder: Path) -> list[Path]:
     grown = pd.concat([growth(run) for run in runs.values()])
     fits = [
-        fit_growth(own["cycle"], own["crease_length"]).assign(seed=seed)
+        fit_growth(own["cycle"], own["crease_length"]).reset_index().assign(seed=seed)
         for seed, own in grown.groupby("seed")
     ]
     first = next(iter(runs.values()))
