@@ -106,7 +106,13 @@ def test_lists_that_never_fit_end_in_a_named_result(monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore:contact level = 3 leaves")
-@pytest.mark.parametrize("room", [Room(1, 1, 1), Room(1000, 1000, 1000)], ids=["tight", "roomy"])
+@pytest.mark.parametrize(
+    "room",
+    [
+        pytest.param(Room(1, 1, 1), id="tight"),
+        pytest.param(Room(1000, 1000, 1000), id="roomy", marks=pytest.mark.slow),
+    ],
+)
 def test_what_is_only_near_a_long_step_makes_it_short_and_needs_no_room(room):
     """Triangles 5 ranges apart are near if a node may move as far, and the list of a short step is empty."""
     sigma = 0.02e-3

@@ -94,6 +94,7 @@ def layer_energy(mesh, x, contact):
     return float(contact.stiffness) * sigma**2 * np.sum(parts[apart])
 
 
+@pytest.mark.slow
 def test_places_beyond_32_bits_are_told_apart():
     step = 1e-3
     sigma = step / 60

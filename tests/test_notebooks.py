@@ -8,7 +8,15 @@ import pytest
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+# Takes a minute to compile.
+LONG = ("gradients_near_a_snap",)
+
+
+def _case(path: Path):
+    return pytest.param(path, marks=pytest.mark.slow if path.stem in LONG else (), id=path.stem)
+
+
+@pytest.mark.parametrize("path", map(_case, NOTEBOOKS))
 def test_notebook_runs(path, capsys):
     cells = json.loads(path.read_text())["cells"]
     source = "\n\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")

@@ -75,7 +75,7 @@ def test_net_force_and_torque_vanish():
     assert np.abs(np.cross(x, force).sum(axis=0)).max() < 1e-13 * size * 0.02
 
 
-@pytest.mark.parametrize("level", [7, 9])
+@pytest.mark.parametrize("level", [7, pytest.param(9, marks=pytest.mark.slow)])
 def test_pressure_of_two_layers_does_not_depend_on_the_level(level):
     """The dense limit of PHYSICS: P = 2 pi n_s^2 g U(g), with one site per a_0."""
     gap = 0.8

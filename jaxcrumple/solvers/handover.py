@@ -35,7 +35,7 @@ LOST = 0.02
 BREAK_EVEN = 20
 # Explicit steps, in stability limits, before the implicit stage is tried again: twice as many after each try
 # that ended within so few steps, up to so many times.
-SPELL, FUTILE, PATIENCE = 400, 10, 3
+SPELL, FUTILE, PATIENCE = 200, 10, 2
 
 
 class Handover(NamedTuple):

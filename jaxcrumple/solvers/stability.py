@@ -68,9 +68,7 @@ def wall_stiffness(scene: Scene, x: Array, t: ArrayLike) -> Array:
     return sum((wall.stiffness_bound(x, jnp.asarray(t)) for wall in scene.walls), jnp.zeros(scene.n_nodes))
 
 
-def beside_walls(
-    scene: Scene, limit: Limit, x: Array, t: Array, stable: Callable[[Fastest], Array]
-) -> Array:
+def beside_walls(scene: Scene, limit: Limit, x: Array, t: Array, stable: Callable[[Fastest], Array]) -> Array:
     """The largest stable step in s at positions `x` (n, 3) and time `t`, not long after the `limit` of a
     method, which tells what is `stable`, was measured.
 
