@@ -16,7 +16,7 @@ def _case(path: Path):
     return pytest.param(path, marks=pytest.mark.slow if path.stem in LONG else (), id=path.stem)
 
 
-@pytest.mark.parametrize("path", map(_case, NOTEBOOKS))
+@pytest.mark.parametrize("path", [_case(path) for path in NOTEBOOKS])
 def test_notebook_runs(path, capsys):
     cells = json.loads(path.read_text())["cells"]
     source = "\n\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
