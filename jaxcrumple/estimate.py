@@ -17,8 +17,8 @@ PHANTOM = (400.0, 800.0)
 CONTACT = (500.0, 5000.0)
 # Scenes that are over sooner ("Snap-through": about 290 steps in 0.05 s; "Fold angles": 9 runs in 123 s).
 SCENE_STEPS = {"arch": (4000.0, 8000.0), "cap": (4000.0, 8000.0), "fold": (400.0, 1000.0)}
-# Scenes that snap most of the time ("Confined in five ways": 4, 7 to 24 and, of a shell, 20 min for 1.5, 1.25 to
-# 2.25 and 0.9 s; a roll that is compressed 11 min for 0.2 s, and at n = 2000 95 min for five cycles, 2.85 s).
+# Scenes that snap most of the time ("Confined in five ways": 4, 7 to 24 and, a shell, 20 min for 1.5, 1.25 to
+# 2.25 and 0.9 s; a roll that is compressed 11 min for 0.2 s, and at n = 2000 95 min for five cycles).
 SCENE_STEPS |= {"stamping": (5e3, 2e4), "conical": (2e4, 1e5), "shell": (3e4, 1e5)}
 SCENE_STEPS |= {"cylindrical": (1e5, 3e5), "axial": (3e4, 1.2e5)}
 # Steps grow as this power of the tolerance from the default's on ("Error against tolerance", `hybrid`).
