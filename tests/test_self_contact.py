@@ -196,13 +196,13 @@ def test_a_sheet_whose_triangles_all_share_a_node_has_no_contact():
 
 
 @pytest.mark.parametrize(
-    ("potential", "level", "gap", "stiffer"),
+    ("potential", "level", "gap", "stiffer", "most"),
     [
-        pytest.param("penalty", 7, 0.35, 0.9, marks=pytest.mark.slow),
-        ("barrier", None, 0.75, 1.5),
+        pytest.param("penalty", 7, 0.35, 0.9, 1.15, marks=pytest.mark.slow),
+        ("barrier", None, 0.75, 1.5, 1.17),
     ],
 )
-def test_stability_limit_of_layers_that_press_one_another(potential, level, gap, stiffer):
+def test_stability_limit_of_layers_that_press_one_another(potential, level, gap, stiffer, most):
     """Those next to a barrier's core are stiffer by far than the sheet alone; 0.98 of the way to each other
     8 % more."""
     _, scene, x = layers(gap, potential=potential, level=level)
@@ -213,7 +213,7 @@ def test_stability_limit_of_layers_that_press_one_another(potential, level, gap,
     exact = np.sqrt(eigsh(scaled, k=1, which="LA", return_eigenvectors=False)[0])
     alone = fastest(eqx.tree_at(lambda s: s.contact.stiffness, scene, jnp.zeros(())), x)
     assert exact > stiffer * alone.omega
-    assert 1.0 <= fastest(scene, x).omega / exact < 1.2
+    assert 1.0 <= fastest(scene, x).omega / exact < most
 
 
 def test_lists_have_the_room_that_is_asked_for_and_change_nothing():

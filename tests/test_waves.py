@@ -165,7 +165,7 @@ def test_largest_eigenvalue_is_bounded_tightly(kind, scale):
     values = scale * spectra()[kind]
     q = np.linalg.qr(np.random.default_rng(1).normal(size=(len(values), len(values))))[0]
     matrix = jnp.asarray((q * values) @ q.T)
-    bound = float(jax.jit(lambda a: largest_eigenvalue(lambda u: a @ u, (len(a),)))(matrix))
+    bound = float(jax.jit(lambda a: largest_eigenvalue(lambda u: a @ u, len(a)))(matrix))
     exact = max(values.max(), 0.0)
     assert exact * (1 - 1e-12) <= bound <= 1.25 * exact + 0.15 * np.abs(values).max()
 
@@ -174,7 +174,7 @@ def test_largest_eigenvalue_that_is_at_home_in_one_place():
     """One pair of sites that presses shows nowhere else."""
     values = np.full(3000, 1.0)
     values[1234] = 1.5
-    bound = float(largest_eigenvalue(lambda u: jnp.asarray(values) * u, values.shape))
+    bound = float(largest_eigenvalue(lambda u: jnp.asarray(values) * u, len(values)))
     assert 1.5 * (1 - 1e-12) <= bound < 1.6
 
 

@@ -130,7 +130,7 @@ class Contact(eqx.Module):
         def add(total: Array, contact: "Contact", x: Array, pairs: "_Pairs") -> Array:
             r, distance = _separation(pairs, x)
             push = (-pairs.strength * contact._slope(distance) / distance)[:, None] * r
-            return total.at[pairs.nodes].add(pairs.weights[:, :, None] * push[:, None])
+            return _with_push(total, pairs, push)
 
         return self._sum(x, add, jnp.zeros_like(x))
 
@@ -169,8 +169,7 @@ class Contact(eqx.Module):
         def add(total: Array, contact: "Contact", both: tuple[Array, Array], pairs: "_Pairs") -> Array:
             (r, distance), (change, _) = _separation(pairs, both[0]), _separation(pairs, both[1])
             matrix, _ = contact._matrices(pairs, r / distance[:, None], contact._closer(distance))
-            push = jnp.sum(matrix * change[:, None], axis=2)
-            return total.at[pairs.nodes].add(pairs.weights[:, :, None] * push[:, None])
+            return _with_push(total, pairs, jnp.sum(matrix * change[:, None], axis=2))
 
         def product(u: Array) -> Array:
             return jnp.where(holds, self._added((x, u), interacting, add, jnp.zeros_like(x)), jnp.nan)
@@ -297,6 +296,11 @@ def _separation(pairs: _Pairs, x: Array) -> tuple[Array, Array]:
     parts = [scale(pairs.weights[:, k], corner) for k, corner in enumerate(corners)]
     r = reduce(add, parts)
     return jnp.stack(r, axis=1), jnp.sqrt(dot(r, r) + TINY)
+
+
+def _with_push(forces: Array, pairs: _Pairs, push: Array) -> Array:
+    """Nodal `forces` (n, 3) with those of a `push` (p, 3) on the first site of each pair, and back."""
+    return forces.at[pairs.nodes].add(pairs.weights[:, :, None] * push[:, None])
 
 
 def _is_number(value: Any) -> bool:

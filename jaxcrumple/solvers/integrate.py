@@ -337,7 +337,7 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
     started = state.h_explicit > 0
     wanted = jnp.minimum(jnp.where(started, jnp.minimum(state.h_explicit, cap), cap), solver.max_step)
     if scene.contact is None:
-        return _explicit_attempt(scene, carry, t_stop, solver, wanted)
+        return _explicit_attempt(scene, carry, t_stop, solver, wanted, cap)
     spare = EXPLICIT_SLACK * scene.contact.range
     wanted = wanted * largest_move(scene, carry.lists, state.x, state.x + wanted * state.v)
     following = state.x + wanted * (state.v + 0.5 * wanted * state.slopes.acceleration)
@@ -352,15 +352,14 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
     after, lists, ready = jax.lax.cond(holds, lambda: held, looked_ahead)
 
     def attempt(carry: _Carry) -> _Carry:
-        return _explicit_attempt(scene, carry, t_stop, solver, wanted)
+        return _explicit_attempt(scene, carry, t_stop, solver, wanted, cap)
 
     return jax.lax.cond(ready, attempt, lambda carry: carry, carry._replace(state=after, lists=lists))
 
 
-def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted) -> _Carry:
+def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted, cap) -> _Carry:
     assert solver.explicit is not None
     scene, state, order = listed(scene, carry.lists), carry.state, solver.explicit.order
-    cap = solver.explicit.safety * solver.limit(scene, state)
     h, lands = _clip_step(state.t, wanted, t_stop)
     tried = solver.explicit.attempt(scene, state, h, cap)
     moved = eqx.tree_at(

@@ -38,15 +38,18 @@ def fastest(scene: Scene, x: Array, t: ArrayLike = 0.0, p: Array | None = None) 
     """
     scene, x, p = jax.lax.stop_gradient((scene, x, p))
     own = _alone(scene)
-    rows, root = own.pattern.expand(elastic_tangent(own, x, p, jnp.asarray(t))), scene.mass[:, None] ** -0.5
+    rows, root = (
+        own.pattern.expand(elastic_tangent(own, x, p, jnp.asarray(t))),
+        jnp.repeat(scene.mass, 3) ** -0.5,
+    )
     pushed = None if scene.contact is None else scene.contact.nearer_product(x)
 
     def product(u: Array) -> Array:
         u = root * u
-        forces = own.pattern.expanded_product(rows, u.reshape(-1)).reshape(u.shape)
-        return root * (forces if pushed is None else forces + pushed(u))
+        forces = own.pattern.expanded_product(rows, u)
+        return root * (forces if pushed is None else forces + pushed(u.reshape(x.shape)).reshape(-1))
 
-    omega_sq = largest_eigenvalue(product, x.shape)
+    omega_sq = largest_eigenvalue(product, x.size)
     damping = drag = jnp.zeros(())
     if scene.damping is not None:
         damping = omega_sq * jnp.max(scene.damping.coefficient / scene.membrane.stiffness)
@@ -57,9 +60,8 @@ def fastest(scene: Scene, x: Array, t: ArrayLike = 0.0, p: Array | None = None) 
 
 def _alone(scene: Scene) -> Scene:
     """The sheet without self-contact."""
-    absent = (None, None)
     return eqx.tree_at(
-        lambda s: (s.contact, s.pattern.contact), scene, absent, is_leaf=lambda leaf: leaf is None
+        lambda s: (s.contact, s.pattern.contact), scene, (None, None), is_leaf=lambda leaf: leaf is None
     )
 
 
@@ -86,9 +88,9 @@ def beside_walls(scene: Scene, limit: Limit, x: Array, t: Array, stable: Callabl
     return limit.step * 2.0 / (1.0 + jnp.sqrt(1.0 + 4.0 * share))
 
 
-def largest_eigenvalue(product: Callable[[Array], Array], shape: tuple[int, ...]) -> Array:
+def largest_eigenvalue(product: Callable[[Array], Array], size: int) -> Array:
     """Bound of the largest eigenvalue, or 0 where none is positive, of a symmetric matrix that a `product`
-    with vectors of a `shape` stands for.
+    with vectors (`size`,) stands for.
 
     The largest one in the space of a few steps of Lanczos's method from a random vector, always the same,
     and the norm of what the last step leaves (Zhou & Li, Linear Algebra Appl. 435, 2011, 480).
@@ -97,20 +99,16 @@ def largest_eigenvalue(product: Callable[[Array], Array], shape: tuple[int, ...]
     def step(carry: tuple[Array, Array, Array], _: None) -> tuple[tuple[Array, Array, Array], Array]:
         before, u, length = carry
         image = product(u) - length * before
-        along = jnp.sum(u * image)
+        along = u @ image
         image = image - along * u
-        length = _length(image)
+        length = jnp.linalg.norm(image)
         return (u, image / jnp.where(length > 0, length, 1.0), length), jnp.stack([along, length])
 
-    start = jax.random.normal(jax.random.key(0), shape)
-    first = jnp.zeros(shape), start / _length(start), jnp.zeros(())
+    start = jax.random.normal(jax.random.key(0), (size,))
+    first = jnp.zeros(size), start / jnp.linalg.norm(start), jnp.zeros(())
     along, length = jax.lax.scan(step, first, None, length=STEPS)[1].T
     inner = jnp.diag(along) + jnp.diag(length[:-1], 1) + jnp.diag(length[:-1], -1)
     return jnp.maximum(_largest(inner) + length[-1], 0.0)
-
-
-def _length(u: Array) -> Array:
-    return jnp.sqrt(jnp.sum(u * u))
 
 
 def _largest(a: Array) -> Array:
