@@ -6,9 +6,10 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from numpy.typing import ArrayLike
 
-from jaxcrumple.model.fans import PLACED_TURN
+from jaxcrumple.model.fans import PLACED_TURN, largest_turn
 from jaxcrumple.model.fields import is_known
 from jaxcrumple.model.merger import Merger
 from jaxcrumple.model.near import (
@@ -99,7 +100,8 @@ class Renewal:
         triangles = np.zeros((self.candidates, 2), np.int32)
         triangles[: len(pairs)] = pairs
         count = jnp.asarray(len(pairs), int)
-        found = Candidates(jnp.asarray(triangles), count, around, jnp.asarray(folded))
+        ways = jnp.asarray(folded)
+        found = Candidates(jnp.asarray(triangles), count, around, ways, *_turned(scene, around.x, ways))
         return eqx.tree_at(lambda s: s.contact.candidates, scene, found)
 
     def placed(self, scene: Scene, around: Around, spare: float = 1.0) -> Scene:
@@ -115,6 +117,14 @@ class Renewal:
         )
 
 
+@eqx.filter_jit
+def _turned(scene: Scene, x: Array, folded: Array) -> tuple[Array, Array]:
+    """Angles (h,) of the hinges at positions `x` (n, 3), and the largest turn of those not `folded` (w,)."""
+    assert scene.contact is not None
+    theta = scene.bending.hinges(x).theta
+    return theta, largest_turn(scene.contact.fans.turning(theta), folded)
+
+
 def _with_room(scene: Scene, room: Room) -> Scene:
     """The scene with empty lists of other sizes."""
     assert scene.contact is not None
@@ -124,8 +134,9 @@ def _with_room(scene: Scene, room: Room) -> Scene:
 def _with_candidates(scene: Scene, size: int) -> Scene:
     """The scene with an empty list of candidates of another size."""
     assert scene.contact is not None
-    ways = scene.contact.candidates.folded.shape[0]
-    return eqx.tree_at(lambda s: s.contact.candidates, scene, no_candidates(scene.n_nodes, ways, size))
+    old = scene.contact.candidates
+    none = no_candidates(scene.n_nodes, len(old.theta), len(old.folded), size)
+    return eqx.tree_at(lambda s: s.contact.candidates, scene, none)
 
 
 def with_contacts(scene: Scene, x: ArrayLike | State, needed: ArrayLike | None = None) -> Scene:

@@ -33,7 +33,8 @@ def layers():
 
 def with_room(scene, room):
     """The scene with an empty list of candidates."""
-    none = no_candidates(scene.n_nodes, scene.contact.candidates.folded.shape[0], room)
+    old = scene.contact.candidates
+    none = no_candidates(scene.n_nodes, len(old.theta), len(old.folded), room)
     return eqx.tree_at(lambda s: s.contact.candidates, scene, none)
 
 
@@ -105,6 +106,23 @@ def test_pairs_with_two_sharp_ways_count_once():
     pairs, _ = Search(scene.contact, scene.bending.nodes).find(np.asarray(x), np.asarray(reach))
     assert sharp > len(pairs) == int(candidates.count)
     np.testing.assert_array_equal(np.asarray(candidates.triangles)[: len(pairs)], pairs)
+
+
+def test_a_bound_on_how_folds_turn_never_hides_one_that_turns_more():
+    """Whether it decides (small motions) or not (large ones)."""
+    scene, x, reach = layers()
+    candidates = found(scene, x, reach)
+    contact = eqx.tree_at(lambda c: c.candidates, scene.contact, candidates)
+    rng, plain = np.random.default_rng(7), 0
+    for size in SIGMA * np.array([0.0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3]):
+        theta = scene.bending.hinges(x + jnp.asarray(rng.normal(scale=size, size=x.shape))).theta
+        turn = np.asarray(contact.fans.turning(theta))[~np.asarray(candidates.folded)].max()
+        bound = candidates.turn + contact.fans.longest * np.abs(theta - candidates.theta).max()
+        assert turn <= bound
+        for most in turn * np.array([0.8, 0.99, 1.01, 1.2, 2.0]):
+            assert bool(contact.blunt(theta, most)) == (turn < most)
+            plain += bool(bound < most)
+    assert 5 < plain < 30
 
 
 def test_too_little_room_is_told():

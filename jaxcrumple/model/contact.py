@@ -23,7 +23,7 @@ from jaxcrumple.mesh import Mesh
 from jaxcrumple.model.chart import Chart, build_chart
 from jaxcrumple.model.chunks import accumulate, compacted
 from jaxcrumple.model.crossing import crosses
-from jaxcrumple.model.fans import Fans, build_fans
+from jaxcrumple.model.fans import Fans, build_fans, largest_turn
 from jaxcrumple.model.fields import as_float, is_known
 from jaxcrumple.model.geometry import add, dot, gather, scale
 from jaxcrumple.model.near import Candidates, Near, no_candidates, no_neighbors, split
@@ -255,10 +255,14 @@ class Contact(eqx.Module):
         two = self.share[other] * self.density[triangles[:, 1], self.place[other]]
         return _Pairs(nodes, weights, jnp.where(held, one * two, 0.0), owner)
 
-    def sharpest(self, theta: Array) -> Array:
-        """Largest turn in rad of a fold that the candidates leave out, where hinges have angles `theta`
-        (h,)."""
-        return jnp.max(jnp.where(self.candidates.folded, 0.0, self.fans.turning(theta)), initial=0.0)
+    def blunt(self, theta: Array, most: float) -> Array:
+        """Whether all folds that the candidates leave out turn by less than `most` rad, where hinges have
+        angles `theta` (h,)."""
+        old = self.candidates
+        plain = old.turn + self.fans.longest * jnp.max(jnp.abs(theta - old.theta)) < most
+        return jax.lax.cond(
+            plain, lambda: plain, lambda: largest_turn(self.fans.turning(theta), old.folded) < most
+        )
 
     def crosses(self, start: Array, end: Array) -> Array:
         """Whether parts of the sheet might touch while nodes go straight from `start` to `end` (n, 3)."""
@@ -333,7 +337,7 @@ def build_contact(
         level = _level(mesh, sigma, options)
         sites, fans, chart = build_sites(level), build_fans(mesh), build_chart(mesh)
         weights, share, place = map(jnp.asarray, sites)
-        candidates = no_candidates(mesh.n_nodes, len(fans.triangles))
+        candidates = no_candidates(mesh.n_nodes, len(mesh.hinges), len(fans.triangles))
         near = no_neighbors(mesh.n_nodes, len(sites.share))
         core = as_float(CORE * _longest(mesh) / (level + 1)) if barrier else None
     else:

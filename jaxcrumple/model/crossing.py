@@ -9,6 +9,7 @@ from jax import Array
 from jaxcrumple.model.chunks import accumulate, compacted
 from jaxcrumple.model.distance import primitive_distances, shared_parts
 from jaxcrumple.model.geometry import Vec, add, dot, gather, scale, sub
+from jaxcrumple.model.near import motion
 
 if TYPE_CHECKING:
     from jaxcrumple.model.contact import Contact
@@ -28,6 +29,18 @@ def crosses(contact: "Contact", start: Array, end: Array) -> Array:
     Never wrong where they do; the lists must hold for both. Of two triangles that share a node, the parts
     that do not are looked at.
     """
+    near = contact.near
+    listed = jnp.arange(near.distance.shape[0]) < near.pair_count
+    nearest = jnp.min(jnp.where(listed, near.distance, jnp.inf))
+    furthest = jnp.max(jnp.maximum(*(motion(near.around.x, x) for x in (start, end))))
+    # Mostly that tells.
+    return jax.lax.cond(
+        2.0 * furthest < nearest, lambda: jnp.asarray(False), lambda: _pairs_cross(contact, start, end)
+    )
+
+
+def _pairs_cross(contact: "Contact", start: Array, end: Array) -> Array:
+    """The same, by a look at the pairs."""
     near = contact.near
     first, second = contact.faces[near.triangles[:, 0]], contact.faces[near.triangles[:, 1]]
     closest, room = near.distance - near.moved(contact.faces, start, end), first.shape[0]

@@ -22,12 +22,13 @@ class Fans(eqx.Module):
 
     `triangles` (w, 2), first below second, of each way; `hinges` (n, k): those around each node in order,
     twice where they close, padded with the number of hinges; `ends` (w, 2): where a way begins and ends
-    among them, as places in (n, k + 1).
+    among them, as places in (n, k + 1); `longest`: most hinges on a way.
     """
 
     triangles: Array
     hinges: Array
     ends: Array
+    longest: Array
 
     def turning(self, theta: Array) -> Array:
         """By how much (w,) the sheet turns along each way where hinges have angles `theta` (h,)."""
@@ -39,6 +40,11 @@ class Fans(eqx.Module):
             turned = turned + angles[self.hinges[:, k]]
         sums = jnp.stack([*before, turned], axis=1).reshape(-1)
         return sums[self.ends[:, 1]] - sums[self.ends[:, 0]]
+
+
+def largest_turn(turning: Array, left_out: Array) -> Array:
+    """Largest of the turns `turning` (w,) in rad, some of them `left_out` (w,)."""
+    return jnp.max(jnp.where(left_out, 0.0, turning), initial=0.0)
 
 
 def build_fans(mesh: Mesh) -> Fans:
@@ -66,7 +72,8 @@ def build_fans(mesh: Mesh) -> Fans:
                 pairs.append((min(fan[i], fan[j]), max(fan[i], fan[j])))
                 ends.append((first + begin, first + (end if straight else begin)))
     triangles, places = (np.array(part, int).reshape(-1, 2) for part in (pairs, ends))
-    return Fans(*(jnp.asarray(part, jnp.int32) for part in (triangles, hinges, places)))
+    longest = np.max(places[:, 1] - places[:, 0], initial=0)
+    return Fans(*(jnp.asarray(part, jnp.int32) for part in (triangles, hinges, places, longest)))
 
 
 def _corner_angles(mesh: Mesh) -> np.ndarray:

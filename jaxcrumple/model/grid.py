@@ -16,7 +16,7 @@ from jax import Array
 from jaxcrumple.model.chunks import compacted, counted
 from jaxcrumple.model.contact import Contact
 from jaxcrumple.model.distance import TINY, boxes, boxes_meet
-from jaxcrumple.model.fans import LISTED_TURN
+from jaxcrumple.model.fans import LISTED_TURN, largest_turn
 from jaxcrumple.model.geometry import Vec, add, cross, dot, gather, sub
 from jaxcrumple.model.near import EXCLUSION, NONE, Around, Candidates, pair_key
 
@@ -58,7 +58,8 @@ def find_candidates(contact: Contact, theta: Array, around: Around) -> Candidate
     angles `theta` (h,), in a list of the same size as the one that `contact` has. Its `count` may be more
     than that."""
     room = contact.candidates.triangles.shape[0]
-    folded = contact.fans.turning(theta) > LISTED_TURN
+    turning = contact.fans.turning(theta)
+    folded = turning > LISTED_TURN
     apart, count = _apart(contact, around, room)
     n_faces = contact.faces.shape[0]
     ways = contact.fans.triangles
@@ -72,7 +73,8 @@ def find_candidates(contact: Contact, theta: Array, around: Around) -> Candidate
     triangles = jnp.stack([kept // n_faces, kept % n_faces], axis=1).astype(jnp.int32)
     # Ways outnumber their pairs, so that they only count where they did not fit.
     needed = jnp.maximum(count, ways_count)
-    return Candidates(triangles, jnp.where(needed > room, needed, fitted), around, folded)
+    count = jnp.where(needed > room, needed, fitted)
+    return Candidates(triangles, count, around, folded, theta, largest_turn(turning, folded))
 
 
 def _apart(contact: Contact, around: Around, room: int) -> tuple[Array, Array]:

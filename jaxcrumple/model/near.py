@@ -46,13 +46,16 @@ class Candidates(eqx.Module):
     """Pairs of triangles that may meet.
 
     `triangles` (c, 2), first below second, sorted, the first `count` of them valid, for motions `around`.
-    `folded` (w,): which of the ways of `Fans` are among them.
+    `folded` (w,): which of the ways of `Fans` are among them; `turn`: the largest one in rad of the others,
+    where hinges have angles `theta` (h,).
     """
 
     triangles: Array
     count: Array
     around: Around
     folded: Array
+    theta: Array
+    turn: Array
 
 
 class Near(eqx.Module):
@@ -155,10 +158,11 @@ def nowhere(n: int) -> Around:
     return Around(jnp.full((n, 3), jnp.nan, float), jnp.zeros(n))
 
 
-def no_candidates(n: int, ways: int, room: int = 1) -> Candidates:
+def no_candidates(n: int, hinges: int, ways: int, room: int = 1) -> Candidates:
     """A list that holds nowhere."""
     triangles, folded = jnp.zeros((room, 2), jnp.int32), jnp.zeros(ways, bool)
-    return Candidates(triangles, jnp.zeros((), int), nowhere(n), folded)
+    unknown = jnp.full(hinges, jnp.nan, float), jnp.asarray(jnp.nan, float)
+    return Candidates(triangles, jnp.zeros((), int), nowhere(n), folded, *unknown)
 
 
 def no_neighbors(n: int, sites: int, room: Room = SMALLEST) -> Near:

@@ -92,7 +92,10 @@ def with_lists(scene: Scene, lists: Lists | None, near: Near | None) -> Scene:
     """The scene of one stretch, with its `lists` and an empty list of sites `near`."""
     if lists is None or near is None:
         return scene
-    candidates = Candidates(lists.triangles, lists.count, near.around, lists.folded)
+    assert scene.contact is not None
+    # Recorded steps were found to pass through nothing, so nobody asks how far other folds turn.
+    unknown = jnp.full_like(scene.contact.candidates.theta, jnp.nan), jnp.asarray(jnp.nan, float)
+    candidates = Candidates(lists.triangles, lists.count, near.around, lists.folded, *unknown)
     scene = eqx.tree_at(lambda s: s.contact.candidates, scene, candidates)
     scene = with_near(scene, near)
     return eqx.tree_at(

@@ -147,7 +147,7 @@ def ready_for(
         lambda: contact.apart(state.x, ahead, APART_AHEAD),
         lambda: jnp.asarray(False),
     )
-    blunt = contact.sharpest(scene.bending.hinges(state.x).theta) < DUE_TURN
+    blunt = contact.blunt(scene.bending.hinges(state.x).theta, DUE_TURN)
     wide = known & ~((listing.candidates.covers(ahead, spare) | apart) & blunt)
     # What grew on the way must not decide, or a run would go on otherwise where it is resumed.
     crowded = _far(contact, lists) & jnp.any(lists.near.needed > jnp.asarray(first_room(scene.n_nodes)))
@@ -180,7 +180,7 @@ def still_ready(scene: Scene, state: State, lists: Lists | None, ahead: Array) -
     spare = NEXT_SLACK * contact.range
     holds = listing.candidates.covers(ahead, spare) & listing.near.covers(ahead, spare)
     holds = holds & ~jnp.any(lists.near.overflow) & _made(lists)
-    return holds & (contact.sharpest(scene.bending.hinges(state.x).theta) < DUE_TURN)
+    return holds & contact.blunt(scene.bending.hinges(state.x).theta, DUE_TURN)
 
 
 def ready_to_restore(scene: Scene, state: State, lists: Lists | None) -> tuple[Lists, Array]:
@@ -240,5 +240,5 @@ def passes(scene: Scene, state: State, x: Array, t: Array) -> Array:
     contact = scene.contact
     if contact is None:
         return through
-    sharp = contact.sharpest(scene.bending.hinges(x).theta) > MOST_TURN
-    return through | ~contact.covers(x, state.x) | sharp | contact.crosses(state.x, x)
+    blunt = contact.blunt(scene.bending.hinges(x).theta, MOST_TURN)
+    return through | ~contact.covers(x, state.x) | ~blunt | contact.crosses(state.x, x)
