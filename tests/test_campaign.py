@@ -2,8 +2,10 @@
 
 import os
 import signal
+import subprocess
 import time
 
+import dask
 import numpy as np
 import pandas as pd
 import psutil
@@ -148,6 +150,21 @@ def test_a_run_that_breaks_stops_alone(tmp_path, client):
     assert "is a file" in table["message"][names[2]]
     (tmp_path / names[2]).unlink()
     assert np.all(jc.campaign(runs, tmp_path, cluster=client)["result"] == "success")
+
+
+@pytest.mark.slow
+def test_a_worker_that_gets_no_time_for_long_is_waited_for():
+    """As on a machine with too much to do: by default Dask gives up one that says nothing for a while."""
+    with dask.config.set({"distributed.scheduler.worker-ttl": "1s"}), connected(None, 1) as client:
+        jobs = cluster.run_all(client, sleep_well, [(12.0,)])
+        assert [future.result() for _, future in jobs] == ["awake"]
+
+
+def sleep_well(seconds):
+    """Stop this process for some time."""
+    subprocess.Popen(["sh", "-c", f"sleep {seconds}; kill -CONT {os.getpid()}"])
+    os.kill(os.getpid(), signal.SIGSTOP)
+    return "awake"
 
 
 def test_workers_that_are_gone_for_good_end_the_wait(monkeypatch):

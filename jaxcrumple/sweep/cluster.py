@@ -18,6 +18,9 @@ Cluster = Any
 _QUIET = logging.CRITICAL
 # Workers of this machine listen to it alone, in clusters of this name.
 HOST, LOCAL = "127.0.0.1", "jaxcrumple"
+# How long a worker of this machine may say nothing, as where there is too much to do: one that ended is known
+# by its closed connection.
+SILENCE = "365 days"
 # Seconds between looks at whether workers of this machine are still there.
 LOOK = 10.0
 
@@ -83,6 +86,7 @@ def _local(workers: int) -> SpecCluster:
         return {"cls": SubprocessWorker, "options": {"worker_kwargs": options}}
 
     scheduler = {"host": HOST, "port": 0, "dashboard": False, "dashboard_address": f"{HOST}:0"}
+    scheduler["worker_ttl"] = SILENCE
     return SpecCluster(
         workers={index: worker(index) for index in range(workers)},
         scheduler={"cls": Scheduler, "options": scheduler},
