@@ -197,11 +197,7 @@ def plot_run(folder: str | Path) -> list[Path]:
     """
     folder = Path(folder)
     run = load(folder)
-    solver = run.config.get("solver", {})
-    about = [run.config.get("scene"), f"n = {run.mesh.n_nodes}"]
-    about += [f"rtol = {solver['rtol']:g}"] if "rtol" in solver else []
-    caption = ", ".join(part for part in about if part)
-    last, now = run.x[-1], f"{caption}, t = {run.t[-1]:.4g} s"
+    caption, last, now = about(run), run.x[-1], about(run, run.t[-1])
     pictures = [
         plot_sheet(run.mesh, last, caption=now, path=folder / "sheet.png"),
         plot_creases(run.mesh, last, run.p[-1], caption=now, path=folder / "creases.png"),
@@ -212,6 +208,16 @@ def plot_run(folder: str | Path) -> list[Path]:
         pictures.append(plot_steps(run.history, run.events, thresholds=limits, caption=caption, path=path))
         pictures.append(plot_energies(run.history, caption=caption, path=folder / "energies.png"))
     return pictures
+
+
+def about(run: Run, t: float | None = None) -> str:
+    """Scene, size, seed, tolerance, and time in s of a run, in words, as far as its folder tells."""
+    config, solver = run.config, run.config.get("solver", {})
+    words = [config["scene"]] if "scene" in config else []
+    words.append(f"n = {run.mesh.n_nodes}")
+    words += [f"seed {config['seed']}"] if "seed" in config else []
+    words += [f"rtol {solver['rtol']:g}"] if "rtol" in solver else []
+    return ", ".join(words + ([] if t is None else [f"t = {t:.4g} s"]))
 
 
 # Parts

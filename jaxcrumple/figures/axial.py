@@ -6,9 +6,10 @@ import numpy as np
 import pandas as pd
 
 from jaxcrumple.config import RunConfig, configure
-from jaxcrumple.figures.base import Figure, Runs, about, save_table
+from jaxcrumple.figures.base import Figure, Runs, save_table
 from jaxcrumple.io import Run
 from jaxcrumple.measure import crease_length, fit_areas, fit_growth, segment_facets
+from jaxcrumple.plot import about
 from jaxcrumple.plot_facets import plot_areas, plot_facets, plot_growth
 from jaxcrumple.scenes.axial import AxialTimes
 

@@ -53,11 +53,3 @@ def save_table(table: pd.DataFrame, path: Path) -> Path:
     """Write the data behind a picture, all or nothing."""
     write_bytes(path, table.to_csv(index=False).encode())
     return path
-
-
-def about(run: Run, t: float | None = None) -> str:
-    """Scene, size, seed, tolerance, and time in s of a run, in words."""
-    config = run.config
-    words = [config["scene"], f"n = {run.mesh.n_nodes}", f"seed {config['seed']}"]
-    words.append(f"rtol {config['solver']['rtol']:g}")
-    return ", ".join(words + ([] if t is None else [f"t = {t:.4g} s"]))

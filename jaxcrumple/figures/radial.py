@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 
 from jaxcrumple.config import RunConfig, configure
-from jaxcrumple.figures.base import Figure, Runs, about, save_table
+from jaxcrumple.figures.base import Figure, Runs, save_table
 from jaxcrumple.figures.panels import frames_at, moments, plot_moments, table_of
 from jaxcrumple.io import Run
 from jaxcrumple.measure import mean_curvature, stacked_layers, volume_fraction
-from jaxcrumple.plot import plot_steps
+from jaxcrumple.plot import about, plot_steps
 from jaxcrumple.plot_sections import plot_section, plot_volume_fraction
 
 # Moments of the panels, as shares of a run.

@@ -20,7 +20,7 @@ from jaxcrumple.model.confinement import AbstractShape, Corners, Cylinder, Plane
 from jaxcrumple.model.loads import ElementEnergy
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions, upright, wrapped
-from jaxcrumple.scenes.snap import check_positive
+from jaxcrumple.scenes.snap import check_gap, check_positive
 
 # Radius, in units of its size, to which a sheet is bent that is to be rolled up: so it bends to one side.
 BIAS = 2.0
@@ -128,8 +128,7 @@ def axial(
     sheet = SheetOptions(**options).reaching(RANGE)
     check_positive(size=size, radius=radius, height=height, gap=gap, **times._asdict())
     _check_height(height, size)
-    if gap <= 2.0 * sheet.thickness:
-        raise ValueError(f"gap = {gap} m must be more than twice the thickness, {2 * sheet.thickness:.3g} m.")
+    check_gap(gap, sheet.thickness)
     mesh = sheet.square(size, nodes, seed)
     home = upright(mesh.vertices)
     wide = 0.5 * size + sheet.clearance + sheet.imperfection

@@ -17,7 +17,7 @@ from jaxcrumple.model.geometry import cross, gather, sub
 from jaxcrumple.model.loads import AbstractMotion, Prescribed
 from jaxcrumple.model.scene import sheet
 from jaxcrumple.scenes.setup import Setup
-from jaxcrumple.scenes.snap import check_positive
+from jaxcrumple.scenes.snap import check_gap, check_positive
 
 # Strips along two edges that are held, as a share of the sheet's size.
 GRIP = 0.08
@@ -108,9 +108,8 @@ def fold(
     check_positive(gap=gap)
     material = material or Material()
     thickness = float(np.mean(material.thickness))
+    check_gap(gap, thickness)
     lift = 0.5 * gap - thickness
-    if lift <= 0:
-        raise ValueError(f"gap = {gap} m must be more than twice the thickness, {2 * thickness:.3g} m.")
     flat = rectangle(size, size, nodes, seed=seed, sweeps=sweeps)
     mesh = flat.with_rest_shape(flat.vertices - np.array([0.0, 0.0, lift]))
     held = np.abs(mesh.vertices[:, 0]) > (0.5 - GRIP) * size

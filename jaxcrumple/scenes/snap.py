@@ -109,3 +109,13 @@ def check_positive(**values: float) -> None:
     for name, value in values.items():
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"{name} = {value!r} must be a positive number in SI units.")
+
+
+def check_gap(gap: float, thickness: float, most: float = np.inf, where: str = "") -> None:
+    """Refuse a gap in m that two layers of a sheet fill, or that is `most` m or more, which is a depth
+    `where` describes."""
+    if not 2.0 * thickness < gap < most:
+        other = f", and less than {where}, {most:.3g} m" if where else ""
+        raise ValueError(
+            f"gap = {gap} m must be more than twice the thickness, {2.0 * thickness:.3g} m{other}."
+        )

@@ -14,7 +14,7 @@ from jaxcrumple.model.confinement import Ball, Corners, Plane, Sphere, of_time
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions, wrapped
-from jaxcrumple.scenes.snap import check_positive
+from jaxcrumple.scenes.snap import check_gap, check_positive
 
 UP = jnp.array([0.0, 0.0, 1.0])
 
@@ -41,15 +41,11 @@ def stamping(
     """
     check_positive(radius=radius, die=die, gap=gap, speed=speed)
     sheet = SheetOptions(**options)
-    rim, least = radius + 2.0 * sheet.clearance, 2.0 * sheet.thickness
+    rim = radius + 2.0 * sheet.clearance
     if die < rim:
         raise ValueError(f"die = {die} m has no room for a disc of {radius} m; choose at least {rim:.4g} m.")
     deepest = die - math.sqrt(die**2 - radius**2)
-    if not least < gap < deepest:
-        raise ValueError(
-            f"gap = {gap} m must be more than twice the thickness, {least:.3g} m, and less than the depth of "
-            f"the die under the disc, {deepest:.3g} m."
-        )
+    check_gap(gap, sheet.thickness, deepest, "the depth of the die under the disc")
     mesh = sheet.disc(radius, nodes, seed)
     depth = math.sqrt(die**2 - rim**2)
     x = mesh.vertices - np.array([0.0, 0.0, depth])
@@ -87,18 +83,13 @@ def shell(
     """
     check_positive(radius=radius, curvature_radius=curvature_radius, gap=gap, speed=speed)
     sheet = SheetOptions(**options)
-    least = 2.0 * sheet.thickness
     if radius > 0.5 * math.pi * curvature_radius:
         raise ValueError(
             f"curvature_radius = {curvature_radius} m makes a shell of {radius} m more than half of a ball; "
             f"choose at least {2.0 * radius / math.pi:.4g} m."
         )
     rise = curvature_radius * (1.0 - math.cos(radius / curvature_radius))
-    if not least < gap < rise:
-        raise ValueError(
-            f"gap = {gap} m must be more than twice the thickness, {least:.3g} m, and less than the height "
-            f"of the shell, {rise:.3g} m."
-        )
+    check_gap(gap, sheet.thickness, rise, "the height of the shell")
     flat = sheet.disc(radius, nodes, seed)
     mesh = flat.with_rest_shape(wrapped(flat.vertices, curvature_radius))
     low, high = mesh.vertices[:, 2].min() - sheet.clearance, mesh.vertices[:, 2].max() + sheet.clearance
