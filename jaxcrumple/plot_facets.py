@@ -55,15 +55,17 @@ def plot_facets(
     return save_figure(figure, path)
 
 
-def plot_areas(areas: ArrayLike, *, bins: int = 8, caption: str = "", path: str | Path) -> Path:
+def plot_areas(
+    areas: ArrayLike, sheets: int = 1, *, bins: int = 8, caption: str = "", path: str | Path
+) -> Path:
     """Density of areas over their mean, against the fragmentation law of this mean (Fig. 9d, bottom).
 
-    **Arguments:** `areas` (k,): of all facets of a sheet, in any unit; `bins`: their number, equal on the
-    logarithmic axis; bars are a standard deviation of the counts; `caption`: written above.
+    **Arguments:** `areas` (k,): of all facets of so many `sheets`, in any unit; `bins`: their number, equal
+    on the logarithmic axis; bars are a standard deviation of the counts; `caption`: written above.
 
     **Raises:** as `plot_facets`, and ValueError for areas that `fit_areas` refuses.
     """
-    fit = fit_areas(areas)
+    fit = fit_areas(areas, sheets)
     xi = np.asarray(areas, dtype=np.float64)
     xi = xi / xi.mean()
     edges = np.geomspace(xi.min() * (1 - 1e-9), xi.max() * (1 + 1e-9), bins + 1)

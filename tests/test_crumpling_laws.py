@@ -88,6 +88,13 @@ def test_distance_by_hand():
     assert measure.fit_areas([1.0, 3.0]).exponential == pytest.approx(1 - np.exp(-0.5))
 
 
+def test_sheets_alike_are_as_one_sheet():
+    areas = [1.0, 3.0, 5.0]
+    assert measure.fit_areas(2 * areas, sheets=2) == measure.fit_areas(areas)._replace(facets=6)
+    with pytest.raises(ValueError, match="sheets = 4 with 3 facets"):
+        measure.fit_areas(areas, sheets=4)
+
+
 def test_areas_that_say_nothing_are_refused():
     for areas in ([1.0], [[1.0, 2.0]], [1.0, 0.0], [1.0, np.nan]):
         with pytest.raises(ValueError, match="two facets or more"):

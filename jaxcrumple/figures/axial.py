@@ -1,6 +1,7 @@
 """Fig. 9: repeated axial crumpling: growth of the crease length, facets, and how their areas are spread."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -56,17 +57,29 @@ def _draw(runs: Runs, folder: Path) -> list[Path]:
         save_table(grown, folder / "figure_9b.csv"),
         save_table(pd.concat(fits), folder / "figure_9b_laws.csv"),
     ]
-    rows = []
+    rows: list[dict[str, Any]] = []
     for cycle, frame in enumerate(cycle_frames(first)[:SHOWN], 1):
-        facets = segment_facets(first.mesh, first.p[frame])
-        now = f"{about(first, first.t[frame])}, cycle {cycle}"
-        place = folder / f"figure_9d_facets_{cycle}.png"
-        paths.append(plot_facets(first.mesh, facets.label, first.p[frame], caption=now, path=place))
-        fit = fit_areas(facets.area) if len(facets.area) > 2 else None
-        if fit is not None:
-            paths.append(plot_areas(facets.area, caption=now, path=folder / f"figure_9d_areas_{cycle}.png"))
-        rows.append({"cycle": cycle, "facets": len(facets.area), **({} if fit is None else fit._asdict())})
+        paths += _draw_facets(runs, cycle, frame, folder, rows)
     return [*paths, save_table(pd.DataFrame(rows), folder / "figure_9d.csv")]
+
+
+def _draw_facets(runs: Runs, cycle: int, frame: int, folder: Path, rows: list[dict[str, Any]]) -> list[Path]:
+    """Facets of the first run after a cycle, and the areas of those of all runs; adds the rows of a table."""
+    first = next(iter(runs.values()))
+    facets = {name: segment_facets(run.mesh, run.p[frame]) for name, run in runs.items()}
+    now = f"{about(first, first.t[frame])}, cycle {cycle}"
+    place, label = folder / f"figure_9d_facets_{cycle}.png", next(iter(facets.values())).label
+    paths = [plot_facets(first.mesh, label, first.p[frame], caption=now, path=place)]
+    together = np.concatenate([one.area for one in facets.values()])
+    parts = [(name, one.area, 1) for name, one in facets.items()]
+    for name, areas, sheets in [*parts, ("all", together, len(runs))]:
+        found = {"facets": len(areas)} if len(areas) < 3 else fit_areas(areas, sheets)._asdict()
+        rows.append({"cycle": cycle, "run": name, **found})
+    if len(together) > 2:
+        place, all_of = folder / f"figure_9d_areas_{cycle}.png", f"{now}, {len(runs)} seeds"
+        caption = now if len(runs) == 1 else all_of
+        paths.append(plot_areas(together, len(runs), caption=caption, path=place))
+    return paths
 
 
 FIGURE = Figure("repeated axial crumpling: creases, facets and their areas", _runs, _draw)

@@ -42,7 +42,7 @@ class AreaFit(NamedTuple):
     """
 
     facets: int  # number of areas
-    mean: float  # s, mean area in units of the sheet's
+    mean: float  # s, mean area in units of a sheet's
     a: float  # shape of the fragmentation law with this mean
     t: float  # its time
     fragmentation: float  # distance to that law
@@ -75,17 +75,21 @@ def area_cdf(xi: ArrayLike, a: float) -> FloatArray:
     return gamma.cdf(np.sqrt(a * (a + 1) * np.asarray(xi, dtype=np.float64)), a)
 
 
-def fit_areas(areas: ArrayLike) -> AreaFit:
-    """All facets' `areas` (k,) of one sheet, in m2 or any other unit, against the laws of `AreaFit`.
+def fit_areas(areas: ArrayLike, sheets: int = 1) -> AreaFit:
+    """All facets' `areas` (k,) of one sheet, or of several `sheets` alike, in m2 or any other unit, against
+    the laws of `AreaFit`.
 
-    **Raises:** ValueError unless there are at least two areas, all positive, and not all equal.
+    **Raises:** ValueError unless there are at least two areas, all positive, and not all equal, of no more
+    sheets than that.
     """
     x = np.asarray(areas, dtype=np.float64)
     if x.ndim != 1 or len(x) < 2 or not np.all((x > 0) & np.isfinite(x)):
         raise ValueError(f"areas of shape {x.shape}; give the positive areas (k,) of two facets or more")
     if np.ptp(x) == 0:
         raise ValueError("all areas are equal, which leaves no distribution to compare; give measured ones")
-    xi, mean = x / x.mean(), 1 / len(x)
+    if not 1 <= sheets <= len(x):
+        raise ValueError(f"sheets = {sheets} with {len(x)} facets; give how many sheets these are of")
+    xi, mean = x / x.mean(), sheets / len(x)
     a, t = maturity(mean)
     logs = np.log(xi)
     return AreaFit(
