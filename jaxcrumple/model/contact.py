@@ -23,7 +23,7 @@ from jaxcrumple.mesh import Mesh
 from jaxcrumple.model.chart import Chart, build_chart
 from jaxcrumple.model.chunks import accumulate, compacted
 from jaxcrumple.model.crossing import crosses
-from jaxcrumple.model.fans import Fans, build_fans, largest_turn
+from jaxcrumple.model.fans import DUE_TURN, Fans, build_fans, largest_turn
 from jaxcrumple.model.fields import as_float, is_known
 from jaxcrumple.model.geometry import add, dot, gather, scale
 from jaxcrumple.model.near import Candidates, Near, no_candidates, no_neighbors, split
@@ -255,13 +255,13 @@ class Contact(eqx.Module):
         two = self.share[other] * self.density[triangles[:, 1], self.place[other]]
         return _Pairs(nodes, weights, jnp.where(held, one * two, 0.0), owner)
 
-    def blunt(self, theta: Array, most: float) -> Array:
-        """Whether all folds that the candidates leave out turn by less than `most` rad, where hinges have
-        angles `theta` (h,)."""
+    def sharpest(self, theta: Array) -> Array:
+        """Largest turn in rad of a fold that the candidates leave out, where hinges have angles `theta` (h,);
+        or a bound of it where that is below `DUE_TURN`."""
         old = self.candidates
-        plain = old.turn + self.fans.longest * jnp.max(jnp.abs(theta - old.theta)) < most
+        bound = old.turn + self.fans.longest * jnp.max(jnp.abs(theta - old.theta))
         return jax.lax.cond(
-            plain, lambda: plain, lambda: largest_turn(self.fans.turning(theta), old.folded) < most
+            bound < DUE_TURN, lambda: bound, lambda: largest_turn(self.fans.turning(theta), old.folded)
         )
 
     def crosses(self, start: Array, end: Array) -> Array:

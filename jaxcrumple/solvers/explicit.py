@@ -11,7 +11,7 @@ from jax import Array
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.lanes import where_needed
 from jaxcrumple.model.scene import Scene
-from jaxcrumple.solvers.lists import passes
+from jaxcrumple.solvers.lists import passes, sharpest
 from jaxcrumple.solvers.stability import Fastest, beside_walls
 from jaxcrumple.state import CAUSES, Slopes, State
 from jaxcrumple.system import rates
@@ -30,7 +30,8 @@ class Tried(NamedTuple):
 
 class Attempt(NamedTuple):
     """A tried step: new `x`, `v`, `p`, the `slopes` there, its `error` in units of the tolerance and the step
-    to try next. `cause` is an index into `CAUSES`, or -1 when the step is accepted."""
+    to try next. `cause` is an index into `CAUSES`, or -1 when the step is accepted; `turn` is `sharpest` at
+    `x`."""
 
     x: Array
     v: Array
@@ -39,6 +40,7 @@ class Attempt(NamedTuple):
     error: Array
     cause: Array
     next_h: Array
+    turn: Array
 
     @property
     def accepted(self) -> Array:
@@ -86,11 +88,12 @@ class AbstractExplicit(eqx.Module):
         next_h = jnp.where(finite, next_h, 0.25 * h)
         good = keep & finite
         unstable = h > beside_walls(scene, state.limit, tried.x, t1, self.stable)
-        stopped = good & (unstable | passes(scene, state, tried.x, t1))
+        turn = sharpest(scene, tried.x)
+        stopped = good & (unstable | passes(scene, state, tried.x, t1, turn))
         next_h = jnp.where(stopped, 0.4 * h, next_h)
         cause = jnp.where(finite, CAUSES.index("error"), CAUSES.index("nonfinite"))
         cause = jnp.where(good, jnp.where(stopped, CAUSES.index("contact"), -1), cause)
-        return Attempt(tried.x, tried.v, tried.p, tried.slopes, units, cause, next_h)
+        return Attempt(tried.x, tried.v, tried.p, tried.slopes, units, cause, next_h, turn)
 
     def _units(self, scene: Scene, error: tuple[Array, Array | None, Array | None]) -> Array:
         """The error in units of the tolerance."""

@@ -9,7 +9,7 @@ from jax import Array
 
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
-from jaxcrumple.solvers.lists import passes
+from jaxcrumple.solvers.lists import passes, sharpest
 from jaxcrumple.solvers.newton import NewtonSolution
 from jaxcrumple.state import CAUSES, IMPLICIT, Linearization, State
 
@@ -92,7 +92,7 @@ def judge(scene: Scene, state: State, solution: NewtonSolution, x: Array, t: Arr
         "newton": ~solution.converged,
         "fold": flipped,
         "error": error > 1.0,
-        "contact": passes(scene, state, x, t),
+        "contact": passes(scene, state, x, t, sharpest(scene, x)),
     }
     cause = jnp.asarray(-1)
     for name in reversed(checks):

@@ -384,4 +384,7 @@ def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, w
     )
     log = follow(log, moved.x, moved.t, h, state.stage, order, tried.accepted)
     handover = after_explicit(scene, moved, tried.accepted, cap, solver)
+    if carry.lists is not None:
+        turn = jnp.where(tried.accepted, tried.turn, carry.lists.turn)
+        carry = carry._replace(lists=carry.lists._replace(turn=turn))
     return _tried(carry, moved, log, handover, EXPLICIT_COST, tried.accepted, lands)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxcrumple.model.confinement import Wall
 from jaxcrumple.model.contact import APART_AHEAD, Contact
 from jaxcrumple.model.fans import DUE_TURN, MOST_TURN
 from jaxcrumple.model.fields import select
@@ -39,7 +40,8 @@ PLACED_REACH, PLACED_FEWEST, PLACED_STEPS = 0.75, 2.0, 32.0
 class Lists(NamedTuple):
     """What the loop holds: pairs of triangles that are `candidates`, and pairs of sites `near`; for which
     motions the next ones must be made (`wide`, `close`), and whether that is due, before the next step; and
-    whether something was near a longer way, so that the next step must be a short one."""
+    whether something was near a longer way, so that the next step must be a short one. `turn`: `sharpest` at
+    the positions of an explicit stage."""
 
     candidates: Candidates
     near: Near
@@ -47,6 +49,7 @@ class Lists(NamedTuple):
     close: Around
     due: Array
     short: Array
+    turn: Array
 
 
 def without_places(scene: Scene) -> Scene:
@@ -65,7 +68,8 @@ def start_lists(scene: Scene, state: State) -> tuple[State, Lists | None]:
     served = (jnp.zeros_like(listing.stale), jnp.zeros_like(listing.needed))
     state = eqx.tree_at(lambda s: (s.listing.stale, s.listing.needed), state, served)
     due, short = jnp.asarray(True), jnp.asarray(False)
-    lists = Lists(contact.candidates, contact.near, listing.candidates, listing.near, due, short)
+    turn = jnp.asarray(jnp.inf, float)
+    lists = Lists(contact.candidates, contact.near, listing.candidates, listing.near, due, short, turn)
     return state, lists
 
 
@@ -110,7 +114,16 @@ def renewed(scene: Scene, state: State, lists: Lists | None) -> tuple[State, Lis
     full = jnp.any(near.overflow) & ~_far(contact, lists)
     full = full | (lists.candidates.count > lists.candidates.triangles.shape[0])
     state = eqx.tree_at(lambda s: s.listing.needed, state, jnp.where(full, needed, 0))
-    return state, lists._replace(near=near, due=jnp.asarray(False))
+    turn = sharpest(listed(scene, lists), state.x)
+    return state, lists._replace(near=near, due=jnp.asarray(False), turn=turn)
+
+
+def sharpest(scene: Scene, x: Array) -> Array:
+    """Largest turn in rad of a fold that the lists leave out at positions `x` (n, 3), or a bound of it below
+    `DUE_TURN`; 0 where no sheet avoids itself."""
+    if scene.contact is None:
+        return jnp.zeros(())
+    return scene.contact.sharpest(scene.bending.hinges(x).theta)
 
 
 def largest_move(
@@ -147,7 +160,7 @@ def ready_for(
         lambda: contact.apart(state.x, ahead, APART_AHEAD),
         lambda: jnp.asarray(False),
     )
-    blunt = contact.blunt(scene.bending.hinges(state.x).theta, DUE_TURN)
+    blunt = sharpest(listed(scene, lists), state.x) < DUE_TURN
     wide = known & ~((listing.candidates.covers(ahead, spare) | apart) & blunt)
     # What grew on the way must not decide, or a run would go on otherwise where it is resumed.
     crowded = _far(contact, lists) & jnp.any(lists.near.needed > jnp.asarray(first_room(scene.n_nodes)))
@@ -180,7 +193,7 @@ def still_ready(scene: Scene, state: State, lists: Lists | None, ahead: Array) -
     spare = NEXT_SLACK * contact.range
     holds = listing.candidates.covers(ahead, spare) & listing.near.covers(ahead, spare)
     holds = holds & ~jnp.any(lists.near.overflow) & _made(lists)
-    return holds & contact.blunt(scene.bending.hinges(state.x).theta, DUE_TURN)
+    return holds & (lists.turn < DUE_TURN)
 
 
 def ready_to_restore(scene: Scene, state: State, lists: Lists | None) -> tuple[Lists, Array]:
@@ -231,14 +244,23 @@ def _close(contact: Contact, x: Array, ahead: Array, moved: Array, spare: Array)
     return Around(x + 0.5 * steps * (ahead - x), spare + 0.5 * ROOM * steps * moved)
 
 
-def passes(scene: Scene, state: State, x: Array, t: Array) -> Array:
-    """Whether a step to positions `x` (n, 3) at time `t` would pass through a wall or the sheet itself, or
-    leaves the lists behind."""
+def _comes_through(wall: Wall, state: State, beyond: Array) -> Array:
+    """Whether some of the nodes `beyond` (n,) a wall after a step were on its near side before."""
+
+    def before() -> Array:
+        return jnp.any(beyond & (wall.gap(state.x, state.t) >= 0))
+
+    return jax.lax.cond(jnp.any(beyond), before, lambda: jnp.asarray(False))
+
+
+def passes(scene: Scene, state: State, x: Array, t: Array, turn: Array) -> Array:
+    """Whether a step to positions `x` (n, 3) at time `t`, whose `sharpest` turn is known, would pass
+    through a wall or the sheet itself, or leaves the lists behind."""
     through = jnp.asarray(False)
     for wall in scene.walls:
-        through = through | jnp.any((wall.gap(x, t) < 0) & (wall.gap(state.x, state.t) >= 0))
+        through = through | _comes_through(wall, state, wall.gap(x, t) < 0)
     contact = scene.contact
     if contact is None:
         return through
-    blunt = contact.blunt(scene.bending.hinges(x).theta, MOST_TURN)
-    return through | ~contact.covers(x, state.x) | ~blunt | contact.crosses(state.x, x)
+    left = ~contact.covers(x, state.x) | (turn > MOST_TURN)
+    return through | left | contact.crosses(state.x, x)

@@ -13,7 +13,7 @@ from jaxcrumple.model.scene import Scene
 from jaxcrumple.renewal import Renewal
 from jaxcrumple.solvers.choice import choose_linear_solver
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
-from jaxcrumple.solvers.lists import passes, without_places
+from jaxcrumple.solvers.lists import passes, sharpest, without_places
 from jaxcrumple.start import check_gap, check_start
 from jaxcrumple.state import State, check_state, restarted
 from jaxcrumple.system import elastic_tangent, force, potential_energy
@@ -151,7 +151,8 @@ def _relax(
         # Near the minimum the energy no longer changes in float64, but the force still falls.
         calmer = size(new_force) < size(carry.force)
         same = new_energy <= carry.energy + 1e-10 * jnp.abs(carry.energy)
-        through = passes(scene, eqx.tree_at(lambda s: s.x, state, carry.x), x, state.t)
+        here = eqx.tree_at(lambda s: s.x, state, carry.x)
+        through = passes(scene, here, x, state.t, sharpest(scene, x))
         sound = ~solution.indefinite & ~through & jnp.all(jnp.isfinite(new_force))
         keep = sound & (lower | (calmer & same))
         held_up = (scene.contact is not None) & through & carry.moved
