@@ -197,7 +197,7 @@ def plot_run(folder: str | Path) -> list[Path]:
     """
     folder = Path(folder)
     run = load(folder)
-    caption, last, now = about(run), run.x[-1], about(run, run.t[-1])
+    caption, last, now = about(run), run.x[-1], about(run, t=run.t[-1])
     pictures = [
         plot_sheet(run.mesh, last, caption=now, path=folder / "sheet.png"),
         plot_creases(run.mesh, last, run.p[-1], caption=now, path=folder / "creases.png"),
@@ -210,12 +210,14 @@ def plot_run(folder: str | Path) -> list[Path]:
     return pictures
 
 
-def about(run: Run, t: float | None = None) -> str:
-    """Scene, size, seed, tolerance, and time in s of a run, in words, as far as its folder tells."""
-    config, solver = run.config, run.config.get("solver", {})
+def about(*runs: Run, t: float | None = None) -> str:
+    """Scene, size, seed, tolerance, and time in s of a run, or of several that differ by their seeds, in
+    words, as far as their folders tell."""
+    first, seeds = runs[0], [str(run.config["seed"]) for run in runs if "seed" in run.config]
+    config, solver = first.config, first.config.get("solver", {})
     words = [config["scene"]] if "scene" in config else []
-    words.append(f"n = {run.mesh.n_nodes}")
-    words += [f"seed {config['seed']}"] if "seed" in config else []
+    words.append(f"n = {first.mesh.n_nodes}")
+    words += [f"seed{'s' if len(seeds) > 1 else ''} {' '.join(seeds)}"] if seeds else []
     words += [f"rtol {solver['rtol']:g}"] if "rtol" in solver else []
     return ", ".join(words + ([] if t is None else [f"t = {t:.4g} s"]))
 

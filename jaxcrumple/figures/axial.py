@@ -49,16 +49,15 @@ def _draw(runs: Runs, folder: Path) -> list[Path]:
         fit_growth(own["cycle"], own["crease_length"]).reset_index().assign(seed=seed)
         for seed, own in grown.groupby("seed")
     ]
-    first = next(iter(runs.values()))
     mean = grown.groupby("cycle")["crease_length"].mean()
-    caption = about(first) if len(runs) == 1 else f"{about(first)}; mean of {len(runs)} seeds"
+    caption = about(*runs.values()) + ("; mean" if len(runs) > 1 else "")
     paths = [
         plot_growth(mean.index, mean, caption=caption, path=folder / "figure_9b.png"),
         save_table(grown, folder / "figure_9b.csv"),
         save_table(pd.concat(fits), folder / "figure_9b_laws.csv"),
     ]
     rows: list[dict[str, Any]] = []
-    for cycle, frame in enumerate(cycle_frames(first)[:SHOWN], 1):
+    for cycle, frame in enumerate(cycle_frames(next(iter(runs.values())))[:SHOWN], 1):
         paths += _draw_facets(runs, cycle, frame, folder, rows)
     return [*paths, save_table(pd.DataFrame(rows), folder / "figure_9d.csv")]
 
@@ -67,17 +66,16 @@ def _draw_facets(runs: Runs, cycle: int, frame: int, folder: Path, rows: list[di
     """Facets of the first run after a cycle, and the areas of those of all runs; adds the rows of a table."""
     first = next(iter(runs.values()))
     facets = {name: segment_facets(run.mesh, run.p[frame]) for name, run in runs.items()}
-    now = f"{about(first, first.t[frame])}, cycle {cycle}"
+    now, after = about(first, t=first.t[frame]), f"cycle {cycle}"
     place, label = folder / f"figure_9d_facets_{cycle}.png", next(iter(facets.values())).label
-    paths = [plot_facets(first.mesh, label, first.p[frame], caption=now, path=place)]
+    paths = [plot_facets(first.mesh, label, first.p[frame], caption=f"{now}, {after}", path=place)]
     together = np.concatenate([one.area for one in facets.values()])
     parts = [(name, one.area, 1) for name, one in facets.items()]
     for name, areas, sheets in [*parts, ("all", together, len(runs))]:
         found = {"facets": len(areas)} if len(areas) < 3 else fit_areas(areas, sheets)._asdict()
         rows.append({"cycle": cycle, "run": name, **found})
     if len(together) > 2:
-        place, all_of = folder / f"figure_9d_areas_{cycle}.png", f"{now}, {len(runs)} seeds"
-        caption = now if len(runs) == 1 else all_of
+        place, caption = folder / f"figure_9d_areas_{cycle}.png", f"{about(*runs.values())}, {after}"
         paths.append(plot_areas(together, len(runs), caption=caption, path=place))
     return paths
 

@@ -58,7 +58,7 @@ def _draw_inside(runs: Runs, folder: Path) -> list[Path]:
     fractions = {f"t = {run.t[k]:.3g} s": volume_fraction(mesh, run.x[k], thickness) for k in frames}
     paths = []
     for place, k in enumerate(frames, 1):
-        path, caption = folder / f"figure_8b_{place}.png", about(run, run.t[k])
+        path, caption = folder / f"figure_8b_{place}.png", about(run, t=run.t[k])
         paths.append(plot_section(mesh, run.x[k], thickness, caption=caption, path=path))
     paths.append(plot_volume_fraction(fractions, caption=about(run), path=folder / "figure_8b.png"))
     rows = [
