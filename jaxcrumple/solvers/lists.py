@@ -186,8 +186,10 @@ def ready_for(
 
 
 def still_ready(scene: Scene, state: State, lists: Lists | None, ahead: Array) -> Array:
-    """Whether the lists hold for one more step of the stage from the state, to `ahead` (n, 3). For the first one
-    they do not: lists for the longer steps of another stage are long."""
+    """Whether the lists hold for one more step of the stage from the state, to `ahead` (n, 3).
+
+    For the first one they do not: lists for the longer steps of another stage are long.
+    """
     contact, listing = listed(scene, lists).contact, state.listing
     assert contact is not None and listing is not None and lists is not None
     lists = lists._replace(wide=listing.candidates, close=listing.near)
