@@ -153,6 +153,24 @@ def test_a_run_that_breaks_stops_alone(tmp_path, client):
 
 
 @pytest.mark.slow
+def test_the_only_worker_comes_back(monkeypatch, tmp_path):
+    """However often one looks meanwhile."""
+    monkeypatch.setattr(cluster, "LOOK", 0.2)
+    monkeypatch.setattr(cluster, "LOOKS", 1000)
+    with connected(None, 1) as client:
+        jobs = cluster.run_all(client, die_once, [(str(tmp_path / "died"),)])
+        assert [future.result() for _, future in jobs] == ["alive"]
+
+
+def die_once(path):
+    """End this process as a lack of memory does, if that has not been done."""
+    if not os.path.exists(path):
+        open(path, "w").close()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return "alive"
+
+
+@pytest.mark.slow
 def test_a_worker_that_gets_no_time_for_long_is_waited_for():
     """As on a machine with too much to do: by default Dask gives up one that says nothing for a while."""
     with dask.config.set({"distributed.scheduler.worker-ttl": "1s"}), connected(None, 1) as client:

@@ -21,8 +21,9 @@ HOST, LOCAL = "127.0.0.1", "jaxcrumple"
 # How long a worker of this machine may say nothing, as where there is too much to do: one that ended is known
 # by its closed connection.
 SILENCE = "365 days"
-# Seconds between looks at whether workers of this machine are still there.
-LOOK = 10.0
+# Seconds between looks at whether workers of this machine are still there, and how many in a row that find none
+# tell that they are gone for good: one that ended is started again, which takes a while.
+LOOK, LOOKS = 10.0, 18
 
 
 class OneCore(WorkerPlugin):
@@ -102,15 +103,25 @@ def run_all(
 
     What a lost worker was at is done again by another one. All that is unfinished is cancelled when the
     caller stops.
+
+    **Raises:** RuntimeError where workers of this machine are lost for good.
     """
     x64 = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]
     # Packed here, so that what a worker cannot unpack is the job's error and not the worker's end.
     packed = (cloudpickle.dumps((function, job)) for job in jobs)
     tasks = [client.submit(_task, data, sys.path, x64, pure=False) for data in packed]
     waiting = {task: index for index, task in enumerate(tasks)}
+    gone = 0
     try:
         while waiting:
-            for future in _ended(client, list(waiting)):
+            ended = _ended(client, list(waiting))
+            gone = 0 if ended or _has_workers(client) else gone + 1
+            if gone == LOOKS:
+                raise RuntimeError(
+                    "all worker processes are gone and none came back: something ended them, such as a "
+                    "signal or a lack of memory. Start again; what campaigns saved is kept."
+                )
+            for future in ended:
                 yield waiting.pop(future), future
                 # A result that is known must not be made again when its worker is lost.
                 future.release()
@@ -119,20 +130,17 @@ def run_all(
 
 
 def _ended(client: Client, futures: list[Future]) -> list[Future]:
-    """Futures that have ended; waits for one, or for some time.
-
-    **Raises:** RuntimeError where workers of this machine are lost for good.
-    """
+    """Futures that have ended; waits for one, or for some time."""
     try:
         return list(wait(futures, timeout=LOOK, return_when="FIRST_COMPLETED").done)
     except TimeoutError:
-        here = client.cluster is not None and client.cluster.name.startswith(LOCAL)
-        if here and not client.scheduler_info(n_workers=-1)["workers"]:
-            raise RuntimeError(
-                "all worker processes are gone and none came back: something ended them, such as a signal or "
-                "a lack of memory. Start again; what campaigns saved is kept."
-            ) from None
         return []
+
+
+def _has_workers(client: Client) -> bool:
+    """Whether there are workers; those of other machines may come at any time."""
+    here = client.cluster is not None and client.cluster.name.startswith(LOCAL)
+    return not here or bool(client.scheduler_info(n_workers=-1)["workers"])
 
 
 def _task(data: bytes, path: Sequence[str], x64: bool) -> Any:
