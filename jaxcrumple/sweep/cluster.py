@@ -21,8 +21,8 @@ HOST, LOCAL = "127.0.0.1", "jaxcrumple"
 # How long a worker of this machine may say nothing, as where there is too much to do: one that ended is known
 # by its closed connection.
 SILENCE = "365 days"
-# Seconds between looks at whether workers of this machine are still there, and how many in a row that find none
-# tell that they are gone for good: one that ended is started again, which takes a while.
+# Seconds between looks at whether workers of this machine are still there, and how many in a row that find
+# none tell that they are gone for good: one that ended is started again, which takes a while.
 LOOK, LOOKS = 10.0, 18
 
 
