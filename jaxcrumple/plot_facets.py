@@ -97,15 +97,20 @@ def plot_areas(
 def plot_growth(cycle: ArrayLike, length: ArrayLike, *, caption: str = "", path: str | Path) -> Path:
     """Crease length in m against the cycle number, and the laws that `fit_growth` fits to it (Fig. 9b).
 
-    **Arguments:** `cycle`, `length` (m,): as for `fit_growth`; `caption`: written above.
+    **Arguments:** `cycle`, `length` (m,): as for `fit_growth`, or `length` (k, m) of k sheets, each of which is
+    drawn while the laws are fitted to their mean; `caption`: written above.
 
     **Raises:** as `plot_facets`, and ValueError for what `fit_growth` refuses.
     """
-    table = fit_growth(cycle, length)
+    sheets = np.atleast_2d(length)
+    mean = sheets.mean(axis=0)
+    table = fit_growth(cycle, mean)
     n, fine = np.asarray(cycle), np.linspace(1, np.max(cycle), 200)
     figure = new_figure((5.6, 4.4), caption)
     axes = figure.add_subplot(xlabel="cycle $n$", ylabel="crease length [m]")
-    axes.plot(n, length, "o", color=MEASURED, label="measured")
+    if len(sheets) > 1:
+        axes.plot(n, sheets.T, "o-", color=MEASURED, alpha=0.3, markersize=3)
+    axes.plot(n, mean, "o", color=MEASURED, label="measured" if len(sheets) == 1 else "mean")
     styles = {"logarithmic": "--", "linear": ":", "power": "-."}
     for law, (c1, c2, rss, _) in zip(table.index, table.to_numpy(), strict=True):
         rms = 1e3 * np.sqrt(rss / len(n))

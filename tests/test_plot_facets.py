@@ -47,3 +47,16 @@ def test_growth(tmp_path, figures):
     x, y = lines["logarithmic"].get_data()
     assert y == pytest.approx(0.4 * np.log1p(0.7 * x), rel=1e-6)
     assert set(lines) == {"measured", "logarithmic", "linear", "power"}
+
+
+def test_growth_of_several_sheets_is_that_of_their_mean(tmp_path, figures):
+    n = np.arange(1, 6)
+    sheets = np.outer([0.3, 0.5], np.log1p(0.7 * n))
+    plot_facets.plot_growth(n, sheets, path=tmp_path / "g.png")
+    lines = figures[0].axes[0].lines
+    assert np.array([line.get_ydata() for line in lines[:2]]) == pytest.approx(sheets)
+    assert lines[2].get_label() == "mean"
+    assert lines[2].get_ydata() == pytest.approx(0.4 * np.log1p(0.7 * n))
+    law = next(line for line in lines if line.get_label().startswith("logarithmic"))
+    x, y = law.get_data()
+    assert y == pytest.approx(0.4 * np.log1p(0.7 * x), rel=1e-6)

@@ -49,10 +49,10 @@ def _draw(runs: Runs, folder: Path) -> list[Path]:
         fit_growth(own["cycle"], own["crease_length"]).reset_index().assign(seed=seed)
         for seed, own in grown.groupby("seed")
     ]
-    mean = grown.groupby("cycle")["crease_length"].mean()
-    caption = about(*runs.values()) + ("; mean" if len(runs) > 1 else "")
+    lengths = grown.pivot(index="seed", columns="cycle", values="crease_length")
+    caption = about(*runs.values())
     paths = [
-        plot_growth(mean.index, mean, caption=caption, path=folder / "figure_9b.png"),
+        plot_growth(lengths.columns, lengths, caption=caption, path=folder / "figure_9b.png"),
         save_table(grown, folder / "figure_9b.csv"),
         save_table(pd.concat(fits), folder / "figure_9b_laws.csv"),
     ]
