@@ -97,8 +97,8 @@ def plot_areas(
 def plot_growth(cycle: ArrayLike, length: ArrayLike, *, caption: str = "", path: str | Path) -> Path:
     """Crease length in m against the cycle number, and the laws that `fit_growth` fits to it (Fig. 9b).
 
-    **Arguments:** `cycle`, `length` (m,): as for `fit_growth`, or `length` (k, m) of k sheets, each of which is
-    drawn while the laws are fitted to their mean; `caption`: written above.
+    **Arguments:** `cycle`, `length` (m,): as for `fit_growth`, or `length` (k, m) of k sheets, which are all
+    drawn, while the laws are fitted to their mean; `caption`: written above.
 
     **Raises:** as `plot_facets`, and ValueError for what `fit_growth` refuses.
     """
