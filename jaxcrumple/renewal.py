@@ -25,6 +25,7 @@ from jaxcrumple.model.near import (
 from jaxcrumple.model.neighbors import find_near
 from jaxcrumple.model.scene import Scene, with_near
 from jaxcrumple.model.search import Search
+from jaxcrumple.programs import make_room
 from jaxcrumple.state import Listing, State, check_positions, first_listing
 
 _find_near = eqx.filter_jit(find_near)
@@ -86,6 +87,7 @@ class Renewal:
 
     def grown(self, scene: Scene, needed: np.ndarray) -> Scene:
         """The scene with room for `needed` (4,), each doubled until that fits, or would soon be too small."""
+        make_room()  # for the program that takes the longer lists
         sizes = zip(self.room, needed[:3], strict=True)
         self.room = Room(*(doubled(room, int(SOON * much)) for room, much in sizes))
         if needed[3] > self.candidates:

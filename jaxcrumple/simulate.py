@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.scene import Scene
+from jaxcrumple.programs import make_room
 from jaxcrumple.renewal import Renewal
 from jaxcrumple.replay.record import Record, Recorder
 from jaxcrumple.solvers.integrate import integrate
@@ -237,6 +238,7 @@ def _attempts(state: State) -> int:
 
 def _compile(scene: Scene, state: State, solver: Integrator, recorder: Recorder | None) -> float:
     """Compile by a call that has nothing to do; return the seconds it took."""
+    make_room()
     start = time.perf_counter()
     jax.block_until_ready(_called(scene, state, state.t, solver, as_float(0.0), recorder))
     return time.perf_counter() - start

@@ -10,6 +10,7 @@ import numpy as np
 from jax.sharding import Mesh as DeviceMesh
 
 from jaxcrumple.model.scene import Scene
+from jaxcrumple.programs import make_room
 from jaxcrumple.renewal import batch_with_contacts
 from jaxcrumple.simulate import MOST_WAITS, RESULT_NAMES
 from jaxcrumple.start import check_gap, check_start, pierced
@@ -37,6 +38,7 @@ def run_batch(
         raise ValueError(
             "the direct solver takes one sheet at a time; take linear='two-level', or backend='processes'."
         )
+    make_room()
     with limited_blas():
         batch = _Batch(cases, times, max_attempts, devices)
         frames = [Frames(measure, setup) for setup in batch.setups]
