@@ -47,8 +47,11 @@ class Renewal:
         self.merger = Merger(scene.pattern, np.asarray(contact.faces)) if merged else None
         least = max(CANDIDATES_PER_NODE * scene.n_nodes, LEAST_CANDIDATES)
         self.candidates = max(least, contact.candidates.triangles.shape[0])
-        sizes = zip(first_room(scene.n_nodes), contact.near.room, strict=True)
-        self.room = Room(*(max(first, before) for first, before in sizes))
+        first = first_room(scene.n_nodes)
+        # What all dense crumples soon need: without it they compile once more, and others gain nothing.
+        first = first._replace(triangles=2 * first.triangles)
+        sizes = zip(first, contact.near.room, strict=True)
+        self.room = Room(*(max(own, before) for own, before in sizes))
         self.places = 2 * self.room.triangles
 
     def __call__(self, scene: Scene, state: State) -> Scene:

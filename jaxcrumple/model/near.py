@@ -114,7 +114,7 @@ class Room(NamedTuple):
 SMALLEST = Room()
 # First sizes for a sheet, by node, and the least of them: sites that meet are as many in a coarse mesh. What
 # a crumple to a third of its size needs fits; more costs each step, for lists are written whole.
-ROOM_PER_NODE, SMALLEST_ROOM = Room(2, 16, 32), Room(2000, 32_000, 64_000)
+ROOM_PER_NODE, SMALLEST_ROOM = Room(1, 16, 32), Room(1000, 32_000, 64_000)
 
 
 def first_room(n: int) -> Room:
