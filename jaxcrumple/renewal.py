@@ -32,6 +32,8 @@ _find_near = eqx.filter_jit(find_near)
 # First room for candidates by node, and at least: in a fine mesh the next neighbours of all triangles are
 # among them.
 CANDIDATES_PER_NODE, LEAST_CANDIDATES = 16, 32_000
+# Pairs of triangles with places in the matrix, for each one that there is room for in the lists.
+PLACES = 2
 
 
 class Renewal:
@@ -52,7 +54,7 @@ class Renewal:
         first = first._replace(triangles=2 * first.triangles)
         sizes = zip(first, contact.near.room, strict=True)
         self.room = Room(*(max(own, before) for own, before in sizes))
-        self.places = 2 * self.room.triangles
+        self.places = PLACES * self.room.triangles
 
     def __call__(self, scene: Scene, state: State) -> Scene:
         """The scene for the next call of `integrate`, where the last one stopped for a list."""
@@ -61,7 +63,8 @@ class Renewal:
         needed = np.asarray(listing.needed)
         if needed.any():
             scene = self.grown(scene, needed)
-        if bool(listing.stale):
+        # Places grow with the pairs that may take them, so that both cost one more program.
+        if bool(listing.stale) or self._places_of(scene) < self.places:
             scene = self.placed(scene, listing.matrix)
         return scene
 
@@ -93,6 +96,7 @@ class Renewal:
         make_room()  # for the program that takes the longer lists
         sizes = zip(self.room, needed[:3], strict=True)
         self.room = Room(*(doubled(room, int(SOON * much)) for room, much in sizes))
+        self.places = max(self.places, PLACES * self.room.triangles)
         if needed[3] > self.candidates:
             self.candidates = doubled(self.candidates, int(SOON * needed[3]))
             scene = _with_candidates(scene, self.candidates)
@@ -120,6 +124,12 @@ class Renewal:
         return eqx.tree_at(
             lambda s: s.pattern.contact.merged, scene, merged, is_leaf=lambda leaf: leaf is None
         )
+
+    def _places_of(self, scene: Scene) -> float:
+        """Pairs of triangles that have room in the scene's matrix, if it needs any."""
+        assert scene.pattern.contact is not None
+        merged = scene.pattern.contact.merged
+        return np.inf if merged is None else merged.keys.shape[0]
 
 
 @eqx.filter_jit

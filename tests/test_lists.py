@@ -14,7 +14,7 @@ from jaxcrumple.model.fans import PLACED_TURN
 from jaxcrumple.model.geometry import curvature
 from jaxcrumple.model.near import Around, Room, pair_key
 from jaxcrumple.model.search import Search
-from jaxcrumple.renewal import Renewal, _with_candidates, _with_room
+from jaxcrumple.renewal import PLACES, Renewal, _with_candidates, _with_room
 from jaxcrumple.solvers.lists import largest_move, ready_for, renewed, start_lists
 from jaxcrumple.solvers.log import empty_log
 from jaxcrumple.state import IMPLICIT
@@ -170,3 +170,17 @@ def test_a_list_that_is_too_short_is_the_one_that_grows(short):
     grown = renewal.grown(tight, needed).contact
     after = [*grown.near.room, grown.candidates.triangles.shape[0]]
     assert after[short] >= sizes[short]
+
+
+def test_places_in_the_matrix_grow_with_the_lists():
+    """Else the program is compiled for longer lists, and soon again for more places."""
+    scene, state = pressed_layers()
+    renewal = Renewal(scene, merged=True)
+    scene = renewal.first(scene, state)
+    before = scene.pattern.contact.merged.keys
+    needed = jnp.asarray([4 * scene.contact.near.room.triangles, 0, 0, 0])
+    grown = renewal(scene, eqx.tree_at(lambda s: s.listing.needed, state, needed))
+    after, room = grown.pattern.contact.merged.keys, grown.contact.near.room
+    assert room.triangles >= needed[0]
+    assert len(after) >= PLACES * room.triangles > len(before)
+    np.testing.assert_array_equal(after[: len(before)], before)
