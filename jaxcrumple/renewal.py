@@ -57,16 +57,20 @@ class Renewal:
         self.places = PLACES * self.room.triangles
 
     def __call__(self, scene: Scene, state: State) -> Scene:
-        """The scene for the next call of `integrate`, where the last one stopped for a list."""
+        """The scene for the next call of `integrate`, where the last one stopped for a list.
+
+        What is longer takes another program. So lists and places grow together, for where one is full the
+        others soon are.
+        """
         listing = state.listing
         assert listing is not None
         needed = np.asarray(listing.needed)
         if needed.any():
             scene = self.grown(scene, needed)
-        # Places grow with the pairs that may take them, so that both cost one more program.
         if bool(listing.stale) or self._places_of(scene) < self.places:
             scene = self.placed(scene, listing.matrix)
-        return scene
+        assert scene.contact is not None
+        return scene if scene.contact.near.room == self.room else _with_room(scene, self.room)
 
     def first(self, scene: Scene, state: State) -> Scene:
         """The scene for the first call of `integrate`: a saved state finds the lists it had."""
@@ -92,10 +96,10 @@ class Renewal:
             scene = self.grown(scene, np.append(near.needed, 0))
 
     def grown(self, scene: Scene, needed: np.ndarray) -> Scene:
-        """The scene with room for `needed` (4,), each doubled until that fits, or would soon be too small."""
+        """The scene with room for `needed` (4,), doubled until that fits, or would soon be too small."""
         make_room()  # for the program that takes the longer lists
         sizes = zip(self.room, needed[:3], strict=True)
-        self.room = Room(*(doubled(room, int(SOON * much)) for room, much in sizes))
+        self._enlarge(max(doubled(room, int(SOON * much)) // room for room, much in sizes))
         self.places = max(self.places, PLACES * self.room.triangles)
         if needed[3] > self.candidates:
             self.candidates = doubled(self.candidates, int(SOON * needed[3]))
@@ -121,9 +125,13 @@ class Renewal:
         pairs, _ = self.search.find(np.asarray(around.x), np.asarray(around.reach), PLACED_TURN)
         merged = self.merger.merge(pairs, self.places, spare)
         self.places = merged.keys.shape[0]
+        self._enlarge(doubled(PLACES * self.room.triangles, self.places) // (PLACES * self.room.triangles))
         return eqx.tree_at(
             lambda s: s.pattern.contact.merged, scene, merged, is_leaf=lambda leaf: leaf is None
         )
+
+    def _enlarge(self, factor: int) -> None:
+        self.room = Room(*(factor * size for size in self.room))
 
     def _places_of(self, scene: Scene) -> float:
         """Pairs of triangles that have room in the scene's matrix, if it needs any."""

@@ -19,6 +19,8 @@ from jaxcrumple.run import stored_config
 from jaxcrumple.sweep import campaign, grid
 
 MEASURED = ("crease m", "energy mJ", "force N")
+MARKERS = "osd^v<>"
+STEPS = ("quasistatic", "implicit", "explicit")
 # Contact of one range for all, so that meshes differ in nothing else.
 COMMON = {"contact_range": 0.25e-3, "frames": 4}
 
@@ -34,7 +36,7 @@ def measured(folder: Path) -> dict[str, float]:
         1e3 * (energy["stretch"] + energy["bending"]),
         wall_force(wall, run.x[-1], run.t[-1]),
     )
-    spent = {"result": run.summary["result"], "cpu_min": run.summary["cpu_s"] / 60.0}
+    spent = {"result": run.summary["result"], "steps": sum(run.summary["steps"][stage] for stage in STEPS)}
     about = {"nodes": run.mesh.n_nodes, "rtol": config.solver.rtol, "seed": config.seed}
     return about | dict(zip(MEASURED, numbers, strict=True)) | spent
 
@@ -44,7 +46,7 @@ def means(rows: pd.DataFrame) -> pd.DataFrame:
     groups = rows.groupby(["nodes", "rtol"])
     found = {(name, what): groups[name].agg(what) for name in MEASURED for what in ("mean", "sem")}
     return pd.DataFrame(
-        {**found, ("seeds", "size"): groups.size(), ("cpu_min", "mean"): groups["cpu_min"].mean()}
+        {**found, ("seeds", "size"): groups.size(), ("steps", "mean"): groups["steps"].mean()}
     )
 
 
@@ -52,10 +54,16 @@ def figure_of(found: pd.DataFrame) -> Figure:
     """Each figure against the mesh size, a line for each tolerance."""
     figure = Figure(figsize=(9.6, 3.2), layout="constrained")
     for axes, name in zip(figure.subplots(1, len(MEASURED)), MEASURED, strict=True):
-        for rtol, own in found.groupby(level="rtol"):
+        for marker, (rtol, own) in zip(MARKERS, found.groupby(level="rtol"), strict=False):
             nodes = own.index.get_level_values("nodes")
             axes.errorbar(
-                nodes, own[name, "mean"], own[name, "sem"], marker="o", capsize=3, label=f"rtol {rtol:g}"
+                nodes,
+                own[name, "mean"],
+                own[name, "sem"],
+                marker=marker,
+                fillstyle="none",
+                capsize=3,
+                label=f"rtol {rtol:g}",
             )
         axes.set(xscale="log", xlabel="nodes", ylabel=name)
         axes.set_ylim(bottom=0.0)
@@ -76,10 +84,10 @@ def main() -> None:
     campaign(runs, opts.folder, tell=lambda name, result: print(name, result, flush=True))
     rows = pd.DataFrame([measured(opts.folder / name) for name in runs])
     found = means(rows)
-    header = ["n", "rtol", *MEASURED, "seeds", "CPU min"]
+    header = ["n", "rtol", *MEASURED, "seeds", "steps"]
     lines = [
         [nodes, f"{rtol:g}", *(f"{row[name, 'mean']:.3g} +- {row[name, 'sem']:.1g}" for name in MEASURED),
-         int(row["seeds", "size"]), f"{row['cpu_min', 'mean']:.1f}"]
+         int(row["seeds", "size"]), f"{row['steps', 'mean']:.0f}"]
         for (nodes, rtol), row in found.iterrows()
     ]  # fmt: skip
     text = markdown(header, lines) + f"\n\nt = {opts.t_end:g} s, yield curvature 200 1/m."
