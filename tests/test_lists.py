@@ -126,7 +126,7 @@ def test_what_is_only_near_a_long_step_makes_it_short_and_needs_no_room(room):
     renewal.room = room
     state = jc.initial_state(scene, x)
     scene = renewal.first(scene, state)
-    state, lists = start_lists(scene, state)
+    state, lists = start_lists(scene, state, False)
     flight = jnp.where(x[:, :1] > 0, 12.0 * sigma, 0.0) * jnp.asarray([0.0, 0.0, 1.0])
 
     @eqx.filter_jit
@@ -163,7 +163,7 @@ def test_a_list_that_is_too_short_is_the_one_that_grows(short):
     tight = _with_candidates(_with_room(scene, renewal.room), rooms[3])
     # The first lists reach no further than those that were measured.
     state = eqx.tree_at(lambda s: s.listing.near, state, contact.near.around)
-    state, lists = start_lists(tight, state)
+    state, lists = start_lists(tight, state, False)
     state, _ = eqx.filter_jit(renewed)(tight, state, lists)
     needed = np.asarray(state.listing.needed)
     assert needed[short] > rooms[short]

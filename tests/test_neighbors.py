@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import jaxcrumple as jc
+from jaxcrumple.model.active import find_active
 from jaxcrumple.model.near import EXCLUSION, Around, Room, no_neighbors
 from jaxcrumple.model.neighbors import find_near
 from jaxcrumple.model.scene import with_near
@@ -18,7 +19,7 @@ SIGMA, GAP = 0.5e-3, 0.9
 COLUMNS = (5, 6, 5)
 
 
-def layers(level: int, roughness: float, turned: bool):
+def layers(level: int, roughness: float, turned: bool, reach=(0.02, 0.4)):
     """Contact of a strip folded twice, with candidates and room, its positions and reach.
 
     Where it is smooth and straight, sites lie in the planes that bound what is looked at, up to rounding.
@@ -28,7 +29,7 @@ def layers(level: int, roughness: float, turned: bool):
     x = folded(mesh, GAP * SIGMA, COLUMNS) + roughness * SIGMA * rng.normal(size=(mesh.n_nodes, 3))
     if turned:
         x = Rotation.random(rng=rng).apply(x)
-    reach = SIGMA * rng.uniform(0.02, 0.4, mesh.n_nodes)
+    reach = SIGMA * rng.uniform(*reach, mesh.n_nodes)
     options = jc.SelfContact(range=SIGMA, level=level)
     scene = jc.sheet(mesh, jc.Material(thickness=0.3e-3), contact=options)
     scene = with_near(scene, no_neighbors(scene.n_nodes, len(scene.contact.share), Room(2000, 40000, 400000)))
@@ -75,6 +76,51 @@ def test_the_list_holds_the_sites_that_may_meet_and_no_others(level, roughness, 
     assert all_pairs(contact, x, reach, -1e-9 * SIGMA) <= set(found)
     # What lies beyond by less than rounding allows for may be in it.
     assert set(found) <= all_pairs(contact, x, reach, 1e-4 * SIGMA)
+
+
+def held_active(contact, around, share):
+    """The contact with what is active for a `share` of the motions that its list of sites is made for."""
+    contact = eqx.tree_at(lambda c: c.near, contact, eqx.filter_jit(find_near)(contact, around))
+    small = Around(around.x, share * around.reach)
+    active = eqx.filter_jit(find_active)(contact, small)
+    return contact, eqx.tree_at(lambda c: c.active, contact, active, is_leaf=lambda leaf: leaf is None)
+
+
+def test_what_is_active_interacts_as_the_whole_list_does():
+    contact, around = layers(3, 0.1, True, reach=(0.2, 0.4))
+    whole, part = held_active(contact, around, 0.1)
+    count, sites = int(part.active.count), contact.weights.shape[0]
+    assert 0 < count < 0.7 * int(whole.near.site_count)
+    picked = eqx.tree_at(
+        lambda near: (near.picked, near.site_count), whole.near, (part.active.picked, part.active.count)
+    )
+    known, rng, faces = set(listed(picked, sites)), np.random.default_rng(3), np.asarray(contact.faces)
+    force = eqx.filter_jit(lambda contact, x: contact.force(x))
+    for _ in range(5):
+        way = rng.normal(size=around.x.shape)
+        way *= (0.08 * np.asarray(around.reach) / np.linalg.norm(way, axis=1))[:, None]
+        x = around.x + (way - way.mean(axis=0))
+        touching = all_pairs(contact, np.asarray(x), np.zeros(len(x)), 0.0)
+        assert len(touching) > 100
+        assert touching <= known
+        np.testing.assert_array_equal(force(part, x), force(whole, x))
+        assert float(part.energy(x)) == pytest.approx(float(whole.energy(x)), rel=1e-14)
+    far = around.x.at[faces[0, 0], 2].add(0.3 * around.reach[faces[0, 0]])
+    assert np.all(np.isfinite(force(whole, far)))
+    assert np.all(np.isnan(force(part, far)))
+
+
+@pytest.mark.parametrize(("way", "crosses"), [(0.3, False), (0.55, True)])
+def test_what_is_active_touches_where_the_whole_list_does(way, crosses):
+    contact, around = layers(3, 0.0, False, reach=(0.6, 0.6))
+    whole, part = held_active(contact, around, 0.99)
+    # The middle layer and the upper one meet.
+    layer = np.round(np.asarray(around.x)[:, 2] / (GAP * SIGMA))
+    end = around.x.at[:, 2].add(-way * SIGMA * (layer - 0.5) * (layer >= 0) * 2)
+    for one in (whole, part):
+        assert bool(one.covers(end, around.x))
+        assert bool(one.crosses(around.x, end)) == crosses
+    assert int(part.active.doubted_count) > 0
 
 
 def layer_energy(mesh, x, contact):

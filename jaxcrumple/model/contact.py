@@ -9,7 +9,6 @@ equal to $\\sigma$ these are the paper's (26)-(28).
 
 import warnings
 from collections.abc import Callable
-from functools import reduce
 from typing import Any, Literal, NamedTuple, get_args
 
 import equinox as eqx
@@ -20,19 +19,26 @@ from jax import Array
 
 from jaxcrumple.material import ModelConstants
 from jaxcrumple.mesh import Mesh
+from jaxcrumple.model.active import (
+    CLOSER,
+    Active,
+    SitePairs,
+    interacting,
+    likely,
+    separation,
+    site_pairs,
+    with_push,
+)
 from jaxcrumple.model.chart import Chart, build_chart
-from jaxcrumple.model.chunks import accumulate, compacted
+from jaxcrumple.model.chunks import accumulate
 from jaxcrumple.model.crossing import crosses
 from jaxcrumple.model.fans import DUE_TURN, Fans, build_fans, largest_turn
 from jaxcrumple.model.fields import as_float, is_known
-from jaxcrumple.model.geometry import add, dot, gather, scale
-from jaxcrumple.model.near import Candidates, Near, no_candidates, no_neighbors, split
+from jaxcrumple.model.near import Candidates, Near, no_candidates, no_neighbors
 from jaxcrumple.model.sites import build_sites, site_density
 from jaxcrumple.model.stencil import upper_pairs
 
 Potential = Literal["penalty", "barrier"]
-# Guards the distance of two sites, m2: far below any distance that matters here.
-TINY = 1e-30
 # Largest spacing of sites in ranges, on average over a triangle and along its sides, so that layers cannot
 # rest between each other's sites.
 SPACING, LONGEST_SPACING = 1.0, 1.5
@@ -45,8 +51,6 @@ BARRIER_SPACING = 0.5
 CORE = 1.05 * 2.0 / np.sqrt(3.0)
 # The largest core in ranges: what is left is where the barrier rises.
 WIDEST_CORE = 0.75
-# Room for motion that a tangent which is to hold for a while leaves: distances are so much of what they are.
-CLOSER = 0.98
 # Share of the lowest triangle's height that separates triangles without a common node in a flat sheet.
 CALM = 0.8
 # The reach that this allows in ranges, at least.
@@ -54,8 +58,8 @@ LEAST = 0.25
 # Sites that may interact are EXCLUSION ranges apart at rest, so none do where no distance is less than this
 # share of that at rest; and the share ahead of a step that may end a little elsewhere.
 APART, APART_AHEAD = 0.55, 0.6
-# Pairs of sites that are looked at together: those in the list, and those that interact.
-LISTED, ACTIVE = 4096, 512
+# Pairs of sites that are added up together.
+ADDED = 512
 
 
 def pair_energy(distance: Array, stiffness: Array, sigma: Array, core: Array | float | None = None) -> Array:
@@ -98,6 +102,7 @@ class Contact(eqx.Module):
     - `fans`: triangles that share a node, and the hinges between them.
     - `chart`: tells where the sheet meets itself nowhere, so that lists need not hold; or None.
     - `candidates`, `near`: who may meet; see `jaxcrumple.model.near`.
+    - `active`: who does here and now, where that is held for several steps; see `jaxcrumple.model.active`.
     """
 
     faces: Array
@@ -114,25 +119,26 @@ class Contact(eqx.Module):
     chart: Chart | None
     candidates: Candidates
     near: Near
+    active: Active | None = None
 
     def energy(self, x: Array) -> Array:
         """Energy in J at positions `x` (n, 3); NaN where the list of pairs does not hold for them."""
 
-        def add(total: Array, contact: "Contact", x: Array, pairs: "_Pairs") -> Array:
-            _, distance = _separation(pairs, x)
+        def add(total: Array, contact: "Contact", x: Array, pairs: SitePairs) -> Array:
+            _, distance = separation(pairs, x)
             return total + jnp.sum(pairs.strength * contact._potential(distance))
 
-        return self._sum(x, add, jnp.zeros((), x.dtype))
+        return self._sum(x, likely(self, x), add, jnp.zeros((), x.dtype))
 
     def force(self, x: Array) -> Array:
         """Nodal forces (n, 3) in N, (27)-(28); NaN where the list of pairs does not hold."""
 
-        def add(total: Array, contact: "Contact", x: Array, pairs: "_Pairs") -> Array:
-            r, distance = _separation(pairs, x)
+        def add(total: Array, contact: "Contact", x: Array, pairs: SitePairs) -> Array:
+            r, distance = separation(pairs, x)
             push = (-pairs.strength * contact._slope(distance) / distance)[:, None] * r
-            return _with_push(total, pairs, push)
+            return with_push(total, pairs, push)
 
-        return self._sum(x, add, jnp.zeros_like(x))
+        return self._sum(x, likely(self, x), add, jnp.zeros_like(x))
 
     def add_tangent(self, x: Array, own: Array, face_blocks: Array) -> tuple[Array, Array, Array]:
         """The Hessian, (A.10) with its sign put right: added to the sheet's `own` blocks (b, 9), of which
@@ -145,9 +151,9 @@ class Contact(eqx.Module):
         """
         one, two = np.array(upper_pairs(3)).T
 
-        def add(total: tuple[Array, Array, Array], contact: "Contact", x: Array, pairs: "_Pairs"):
+        def add(total: tuple[Array, Array, Array], contact: "Contact", x: Array, pairs: SitePairs):
             own, cross, lift = total
-            r, distance = _separation(pairs, x)
+            r, distance = separation(pairs, x)
             matrix, tension = contact._matrices(pairs, r / distance[:, None], distance)
             matrix = matrix.reshape(-1, 1, 9)
             for side in range(2):
@@ -159,28 +165,30 @@ class Contact(eqx.Module):
             return own, cross.at[pairs.owner].add(both * matrix), lift.at[pairs.nodes].add(soft)
 
         cross = jnp.zeros((self.near.triangles.shape[0], 9, 9), x.dtype)
-        return self._sum(x, add, (own, cross, jnp.zeros(x.shape[0], x.dtype)))
+        nothing = own, cross, jnp.zeros(x.shape[0], x.dtype)
+        return self._sum(x, interacting(self, x), add, nothing)
 
     def nearer_product(self, x: Array) -> Callable[[Array], Array]:
         """The function of displacements (n, 3) in m that the Hessian makes forces of, in N, as if distances
         were a little smaller than at positions `x` (n, 3): as motion may leave them."""
-        interacting, holds = self._interacting(x), self.covers(x)
+        found, holds = interacting(self, x), self.covers(x)
 
-        def add(total: Array, contact: "Contact", both: tuple[Array, Array], pairs: "_Pairs") -> Array:
-            (r, distance), (change, _) = _separation(pairs, both[0]), _separation(pairs, both[1])
+        def add(total: Array, contact: "Contact", both: tuple[Array, Array], pairs: SitePairs) -> Array:
+            (r, distance), (change, _) = separation(pairs, both[0]), separation(pairs, both[1])
             matrix, _ = contact._matrices(pairs, r / distance[:, None], contact._closer(distance))
-            return _with_push(total, pairs, jnp.sum(matrix * change[:, None], axis=2))
+            return with_push(total, pairs, jnp.sum(matrix * change[:, None], axis=2))
 
         def product(u: Array) -> Array:
-            return jnp.where(holds, self._added((x, u), interacting, add, jnp.zeros_like(x)), jnp.nan)
+            return jnp.where(holds, self._added((x, u), found, add, jnp.zeros_like(x)), jnp.nan)
 
         return product
 
     @eqx.filter_jit
     def gaps(self, x: Array) -> tuple[Array, Array]:
         """Smallest distance in m of two interacting sites (infinite if none), and how many there are."""
-        pairs = self._pairs(self.near.picked, jnp.arange(self.near.picked.shape[0]) < self.near.site_count)
-        _, distance = _separation(pairs, x)
+        near = self.near
+        pairs = site_pairs(self, near.picked, jnp.arange(near.room.pairs) < near.site_count)
+        _, distance = separation(pairs, x)
         active = (pairs.strength > 0) & (distance < self.range)
         return jnp.min(jnp.where(active, distance, jnp.inf)), jnp.sum(active)
 
@@ -198,7 +206,7 @@ class Contact(eqx.Module):
     def _stiffness(self, distance: Array) -> Array:
         return jax.vmap(jax.grad(jax.grad(self._potential)))(distance)
 
-    def _matrices(self, pairs: "_Pairs", direction: Array, distance: Array) -> tuple[Array, Array]:
+    def _matrices(self, pairs: SitePairs, direction: Array, distance: Array) -> tuple[Array, Array]:
         """Stiffness (p, 3, 3) in N/m of pairs of sites a `distance` (p,) apart in a `direction` (p, 3), and
         that (p,) across."""
         tension = pairs.strength * self._slope(distance) / distance
@@ -206,54 +214,21 @@ class Contact(eqx.Module):
         stiffness = (pairs.strength * self._stiffness(distance) - tension)[:, None, None]
         return stiffness * along + tension[:, None, None] * jnp.eye(3), tension
 
-    def _sum(self, x: Array, add: Callable[[Any, "Contact", Array, "_Pairs"], Any], nothing: Any) -> Any:
-        """`nothing` with what the pairs near enough add; NaN where the list does not hold."""
-        value, holds = self._added(x, self._interacting(x), add, nothing), self.covers(x)
+    def _sum(self, x: Array, found: tuple[Array, Array], add: Callable[..., Any], nothing: Any) -> Any:
+        """`nothing` with what the pairs `found` add; NaN where the lists do not hold."""
+        value, holds = self._added(x, found, add, nothing), self.covers(x)
         return jax.tree.map(lambda total: jnp.where(holds, total, jnp.nan), value)
 
-    def _added(self, x: Any, interacting: tuple[Array, Array], add: Callable[..., Any], nothing: Any) -> Any:
-        """`nothing` with what the `interacting` pairs add by `x`, arrays (n, 3)."""
-        picked, count = interacting
+    def _added(self, x: Any, found: tuple[Array, Array], add: Callable[..., Any], nothing: Any) -> Any:
+        """`nothing` with what pairs of sites, as `likely` finds them, add by `x`, arrays (n, 3)."""
+        picked, count = found
 
         def add_at(total: Any, arguments: tuple["Contact", Any, Array], at: Array, held: Array) -> Any:
             contact, x, picked = arguments
             # What stands beyond may lie in the core of a barrier, and infinity times nothing is not nothing.
-            return add(total, contact, x, contact._pairs(picked[jnp.where(held, at, 0)], held))
+            return add(total, contact, x, site_pairs(contact, picked[jnp.where(held, at, 0)], held))
 
-        return accumulate(add_at, nothing, (self, x, picked), count, picked.shape[0], ACTIVE)
-
-    def _interacting(self, x: Array) -> tuple[Array, Array]:
-        """Those pairs of sites in `near` (P,) that interact, or would just beyond the range, and how many
-        they are."""
-        contact, x = jax.lax.stop_gradient((self, x))
-        near, size = contact.near, contact.near.picked.shape[0]
-        # Nine in ten are told by how far they were apart and how far their triangles have moved.
-        reach = contact.range / CLOSER + near.moved(contact.faces, x)
-
-        def may(at: Array) -> Array:
-            return (near.apart[at] < reach[near.owner[at]])[:, None]
-
-        rough, count = compacted(may, near.site_count, 1, size, LISTED)
-
-        def close(at: Array) -> Array:
-            pairs = contact._pairs(near.picked[rough[at]], jnp.ones_like(at, bool))
-            return (CLOSER * _separation(pairs, x)[1] < contact.range)[:, None]
-
-        return compacted(close, count, 1, size, LISTED, lambda at: near.picked[rough[at]])
-
-    def _pairs(self, picked: Array, held: Array) -> "_Pairs":
-        """Pairs of sites (p,) as in `Near.picked`, of which those `held` (p,) are valid."""
-        near, sites = self.near, self.weights.shape[0]
-        at, other = split(picked, sites)
-        owner, site = split(near.found[at], sites)
-        triangles = near.triangles[owner]
-        columns = [self.faces[:, k][triangles[:, side]] for side in range(2) for k in range(3)]
-        nodes = jnp.stack(columns, axis=1)
-        shares = [self.weights[:, k][site] for k in range(3)] + [-self.weights[:, k][other] for k in range(3)]
-        weights = jnp.stack(shares, axis=1)
-        one = self.share[site] * self.density[triangles[:, 0], self.place[site]]
-        two = self.share[other] * self.density[triangles[:, 1], self.place[other]]
-        return _Pairs(nodes, weights, jnp.where(held, one * two, 0.0), owner)
+        return accumulate(add_at, nothing, (self, x, picked), count, picked.shape[0], ADDED)
 
     def sharpest(self, theta: Array) -> Array:
         """Largest turn in rad of a fold that the candidates leave out, where hinges have angles `theta` (h,);
@@ -272,6 +247,7 @@ class Contact(eqx.Module):
         """Whether the lists hold for positions `x` (n, 3): no node moved further than they allow for, or no
         list is needed there, nor on the straight way from `start` (n, 3)."""
         listed = self.candidates.around.covers(x) & self.near.covers(x)
+        listed = listed if self.active is None else listed & self.active.around.covers(x)
         return jax.lax.cond(listed, lambda: listed, lambda: self.apart(x if start is None else start, x))
 
     def apart(self, start: Array, end: Array, share: float = APART) -> Array:
@@ -282,29 +258,6 @@ class Contact(eqx.Module):
         start, end = jax.lax.stop_gradient((start, end))
         frame = self.chart.frame(start)
         return (self.chart.least(start, frame) > share) & (self.chart.least(end, frame) > share)
-
-
-class _Pairs(NamedTuple):
-    """Pairs of sites: `nodes` (p, 6) of their triangles and their `weights` in $r_{12}$, `strength`: the
-    product of their areas over $a_0^2$, 0 where there is no pair, and `owner`: place in `Near.triangles`."""
-
-    nodes: Array
-    weights: Array
-    strength: Array
-    owner: Array
-
-
-def _separation(pairs: _Pairs, x: Array) -> tuple[Array, Array]:
-    """$r_{12}$ (P, 3) of (26) and its length."""
-    corners = gather(x, pairs.nodes)
-    parts = [scale(pairs.weights[:, k], corner) for k, corner in enumerate(corners)]
-    r = reduce(add, parts)
-    return jnp.stack(r, axis=1), jnp.sqrt(dot(r, r) + TINY)
-
-
-def _with_push(forces: Array, pairs: _Pairs, push: Array) -> Array:
-    """Nodal `forces` (n, 3) with those of a `push` (p, 3) on the first site of each pair, and back."""
-    return forces.at[pairs.nodes].add(pairs.weights[:, :, None] * push[:, None])
 
 
 def _is_number(value: Any) -> bool:

@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxcrumple.model.chunks import accumulate, compacted
+from jaxcrumple.model.active import may_touch
+from jaxcrumple.model.chunks import accumulate
 from jaxcrumple.model.distance import primitive_distances, shared_parts
 from jaxcrumple.model.geometry import Vec, add, dot, gather, scale, sub
 from jaxcrumple.model.near import motion
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
 TOUCHING = 0.1
 # Advances after which a pair that is still under way counts as touching.
 ADVANCES = 64
-# Pairs of triangles that are looked at together: those in the list, and those that may touch.
-LISTED, DOUBTED = 1024, 64
+# Pairs of triangles that are looked at together.
+DOUBTED = 64
 
 
 def crosses(contact: "Contact", start: Array, end: Array) -> Array:
@@ -30,6 +31,8 @@ def crosses(contact: "Contact", start: Array, end: Array) -> Array:
     that do not are looked at.
     """
     near = contact.near
+    if contact.active is not None:
+        return _pairs_cross(contact, start, end)
     listed = jnp.arange(near.distance.shape[0]) < near.pair_count
     nearest = jnp.min(jnp.where(listed, near.distance, jnp.inf))
     furthest = jnp.max(jnp.maximum(*(motion(near.around.x, x) for x in (start, end))))
@@ -40,20 +43,23 @@ def crosses(contact: "Contact", start: Array, end: Array) -> Array:
 
 
 def _pairs_cross(contact: "Contact", start: Array, end: Array) -> Array:
-    """The same, by a look at the pairs."""
+    """The same, by a look at the pairs that may touch."""
     near = contact.near
-    first, second = contact.faces[near.triangles[:, 0]], contact.faces[near.triangles[:, 1]]
-    closest, room = near.distance - near.moved(contact.faces, start, end), first.shape[0]
-    places, count = compacted(lambda at: (closest[at] <= 0)[:, None], near.pair_count, 1, room, LISTED)
+    places, count = may_touch(contact, start, end)
+    moves = jnp.maximum(*(motion(near.around.x, x) for x in (start, end)))
 
     def add(touched: Array, arguments: tuple[Array, ...], at: Array, held: Array) -> Array:
-        start, way, first, second, places = arguments
-        first, second = first[places[at]], second[places[at]]
+        start, way, moves, distance, triangles, faces, places = arguments
+        at = places[at]
+        first, second = (faces[triangles[at, side]] for side in range(2))
+        # Those of a list for other motions too must not tell.
+        nearer = jnp.max(moves[first], axis=1) + jnp.max(moves[second], axis=1)
+        asked = held & (distance[at] <= nearer)
         parts, steps = ((gather(x, first), gather(x, second)) for x in (start, way))
-        return touched | jnp.any(touches(parts, steps, shared_parts(first, second), contact.range, held))
+        return touched | jnp.any(touches(parts, steps, shared_parts(first, second), contact.range, asked))
 
-    arguments = (start, end - start, first, second, places)
-    return accumulate(add, jnp.asarray(False), arguments, count, room, DOUBTED)
+    arguments = start, end - start, moves, near.distance, near.triangles, contact.faces, places
+    return accumulate(add, jnp.asarray(False), arguments, count, near.room.triangles, DOUBTED)
 
 
 Corners = tuple[tuple[Vec, ...], tuple[Vec, ...]]

@@ -98,8 +98,11 @@ class Near(eqx.Module):
     def moved(self, faces: Array, *positions: Array) -> Array:
         """How much nearer (T,) in m points of the two triangles may be to each other, at any of some
         `positions` (n, 3), than where the list was made."""
-        nodes = reduce(jnp.maximum, [motion(self.around.x, x) for x in positions])
-        most = reduce(jnp.maximum, [nodes[faces[:, k]] for k in range(3)])
+        return self.nearer(faces, reduce(jnp.maximum, [motion(self.around.x, x) for x in positions]))
+
+    def nearer(self, faces: Array, moves: Array) -> Array:
+        """How much nearer (T,) in m points of the two triangles may come where nodes move by `moves` (n,)."""
+        most = reduce(jnp.maximum, [moves[faces[:, k]] for k in range(3)])
         return most[self.triangles[:, 0]] + most[self.triangles[:, 1]]
 
 
@@ -148,9 +151,10 @@ def split(place: Array, width: int) -> tuple[Array, Array]:
 
 def motion(start: Array, end: Array) -> Array:
     """Distance (n,) that each node moved, less the mean motion."""
-    moved = end - start
-    moved = moved - jnp.mean(moved, axis=0)
-    return jnp.sqrt(dot(moved.T, moved.T))
+    # By columns: rows of three do not vectorise.
+    ways = [end[:, k] - start[:, k] for k in range(3)]
+    ways = [way - jnp.mean(way) for way in ways]
+    return jnp.sqrt(dot(ways, ways))
 
 
 def nowhere(n: int) -> Around:

@@ -22,6 +22,7 @@ from jaxcrumple.solvers.lists import (
     Lists,
     largest_move,
     listed,
+    listed_active,
     ready_for,
     ready_to_restore,
     renewed,
@@ -29,6 +30,7 @@ from jaxcrumple.solvers.lists import (
     state_lists,
     still_ready,
     waits,
+    with_active,
     without_places,
 )
 from jaxcrumple.solvers.log import STEP, Log, append, empty_log, follow
@@ -85,7 +87,7 @@ def integrate(
     **Returns:** the new `State` and the `Log` of this call.
     """
     scene = scene if solver.one_matrix else without_places(scene)
-    state, lists = start_lists(scene, state)
+    state, lists = start_lists(scene, state, solver.has(EXPLICIT))
     start_h = jnp.where(state.h > 0, state.h, jnp.minimum(solver.first_step, solver.max_step))
     known = jnp.any(state.stage == jnp.asarray(solver.stages))
     stage = jnp.where(known, state.stage, solver.stages[0])
@@ -352,6 +354,8 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
     after, lists, ready = jax.lax.cond(holds, lambda: held, looked_ahead)
 
     def attempt(carry: _Carry) -> _Carry:
+        assert carry.lists is not None
+        carry = carry._replace(lists=with_active(scene, carry.lists, state.x, following))
         return _explicit_attempt(scene, carry, t_stop, solver, wanted, cap)
 
     return jax.lax.cond(ready, attempt, lambda carry: carry, carry._replace(state=after, lists=lists))
@@ -359,7 +363,7 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
 
 def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted, cap) -> _Carry:
     assert solver.explicit is not None
-    scene, state, order = listed(scene, carry.lists), carry.state, solver.explicit.order
+    scene, state, order = listed_active(scene, carry.lists), carry.state, solver.explicit.order
     h, lands = _clip_step(state.t, wanted, t_stop)
     tried = solver.explicit.attempt(scene, state, h, cap)
     moved = eqx.tree_at(

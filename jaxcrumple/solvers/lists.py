@@ -8,13 +8,14 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxcrumple.model.active import Active, find_active, no_active
 from jaxcrumple.model.confinement import Wall
 from jaxcrumple.model.contact import APART_AHEAD, Contact
 from jaxcrumple.model.fans import DUE_TURN, MOST_TURN
 from jaxcrumple.model.fields import select
 from jaxcrumple.model.grid import find_candidates
 from jaxcrumple.model.lanes import where_needed
-from jaxcrumple.model.near import Around, Candidates, Near, first_room, motion
+from jaxcrumple.model.near import Around, Candidates, Near, first_room, motion, nowhere
 from jaxcrumple.model.neighbors import find_near
 from jaxcrumple.model.scene import Scene, with_near
 from jaxcrumple.state import NEVER, Listing, State
@@ -30,6 +31,8 @@ SEVERAL, WAY, ROOM, SLACK, MOST_SLACK, LOOSE = 4.0, 0.25, 1.2, 0.05, 0.25, 2.0
 LONGEST = 1.01 * (MOST_SLACK + 0.5 * ROOM * STRIDE)
 # Ranges that an explicit step may differ from its prediction, and that lists for many of them have to spare.
 NEXT_SLACK, EXPLICIT_SLACK = 0.01, 0.1
+# What is active is told for this many explicit steps, and so many ranges to spare.
+ACTIVE_STEPS, ACTIVE_SLACK = 16.0, 0.02
 # Reach of a list of candidates: ranges, and steps like the next one; of the latter FEWEST at least, and more
 # only up to FURTHEST ranges, or as far as a flat sheet's neighbours do not appear.
 REACH, STEPS, FEWEST, FURTHEST = 0.35, 16.0, 3.0, 2.0
@@ -41,7 +44,7 @@ class Lists(NamedTuple):
     """What the loop holds: pairs of triangles that are `candidates`, and pairs of sites `near`; for which
     motions the next ones must be made (`wide`, `close`), and whether that is due, before the next step; and
     whether something was near a longer way, so that the next step must be a short one. `turn`: `sharpest` at
-    the positions of an explicit stage."""
+    the positions of an explicit stage, and `active` what interacts in its next steps."""
 
     candidates: Candidates
     near: Near
@@ -50,6 +53,7 @@ class Lists(NamedTuple):
     due: Array
     short: Array
     turn: Array
+    active: Active | None
 
 
 def without_places(scene: Scene) -> Scene:
@@ -59,8 +63,8 @@ def without_places(scene: Scene) -> Scene:
     return eqx.tree_at(lambda s: s.pattern.contact.merged, scene, None)
 
 
-def start_lists(scene: Scene, state: State) -> tuple[State, Lists | None]:
-    """Lists that are due, and the state, which needs no others yet."""
+def start_lists(scene: Scene, state: State, explicit: bool) -> tuple[State, Lists | None]:
+    """Lists that are due, and the state, which needs no others yet; for `explicit` steps as well, or not."""
     contact, listing = scene.contact, state.listing
     if contact is None or listing is None:
         return state, None
@@ -69,7 +73,10 @@ def start_lists(scene: Scene, state: State) -> tuple[State, Lists | None]:
     state = eqx.tree_at(lambda s: (s.listing.stale, s.listing.needed), state, served)
     due, short = jnp.asarray(True), jnp.asarray(False)
     turn = jnp.asarray(jnp.inf, float)
-    lists = Lists(contact.candidates, contact.near, listing.candidates, listing.near, due, short, turn)
+    active = no_active(scene.n_nodes, len(contact.share), contact.near.room) if explicit else None
+    lists = Lists(
+        contact.candidates, contact.near, listing.candidates, listing.near, due, short, turn, active
+    )
     return state, lists
 
 
@@ -115,7 +122,31 @@ def renewed(scene: Scene, state: State, lists: Lists | None) -> tuple[State, Lis
     full = full | (lists.candidates.count > lists.candidates.triangles.shape[0])
     state = eqx.tree_at(lambda s: s.listing.needed, state, jnp.where(full, needed, 0))
     turn = sharpest(listed(scene, lists), state.x)
+    if lists.active is not None:
+        # What is active is a part of the list that was.
+        former = lists.active.around
+        around = select(lists.due, nowhere(scene.n_nodes), former)
+        lists = lists._replace(active=eqx.tree_at(lambda a: a.around, lists.active, around))
     return state, lists._replace(near=near, due=jnp.asarray(False), turn=turn)
+
+
+def listed_active(scene: Scene, lists: Lists | None) -> Scene:
+    """The same for an explicit step, with what is `active` in it."""
+    scene = listed(scene, lists)
+    if lists is None or scene.contact is None:
+        return scene
+    return eqx.tree_at(lambda s: s.contact.active, scene, lists.active, is_leaf=lambda leaf: leaf is None)
+
+
+def with_active(scene: Scene, lists: Lists, x: Array, ahead: Array) -> Lists:
+    """The lists with what is active on the way from `x` to `ahead` (n, 3), where they hold, and for some more
+    explicit steps like that."""
+    contact, old = listed(scene, lists).contact, lists.active
+    assert contact is not None and old is not None
+    spare, moved = NEXT_SLACK * contact.range, motion(x, ahead)
+    around = Around(x, ACTIVE_SLACK * contact.range + ACTIVE_STEPS * moved)
+    due = ~old.around.covers(ahead, spare)
+    return lists._replace(active=where_needed(due, find_active, old, contact, around))
 
 
 def sharpest(scene: Scene, x: Array) -> Array:
