@@ -152,9 +152,9 @@ def split(place: Array, width: int) -> tuple[Array, Array]:
 def motion(start: Array, end: Array) -> Array:
     """Distance (n,) that each node moved, less the mean motion."""
     # By columns: rows of three do not vectorise.
-    ways = [end[:, k] - start[:, k] for k in range(3)]
-    ways = [way - jnp.mean(way) for way in ways]
-    return jnp.sqrt(dot(ways, ways))
+    columns = [end[:, k] - start[:, k] for k in range(3)]
+    x, y, z = (column - jnp.mean(column) for column in columns)
+    return jnp.sqrt(dot((x, y, z), (x, y, z)))
 
 
 def nowhere(n: int) -> Around:
