@@ -32,7 +32,7 @@ COLLAPSE = 0.05
 # values hand over earlier than the accelerations ask for, and the answer then differs by more than rtol.
 LOST = 0.02
 # An implicit step costs as much as this many explicit ones; one that is not longer gives way to them.
-BREAK_EVEN = 20
+BREAK_EVEN = 10
 # Explicit steps, in stability limits, before the implicit stage is tried again: twice as many after each try
 # that ended within so few steps, up to so many times.
 SPELL, FUTILE, PATIENCE = 200, 10, 2
