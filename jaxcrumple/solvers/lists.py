@@ -27,10 +27,12 @@ STRIDE, UNKNOWN = 1.0, 0.25
 # that reaches LOOSE times further than steps now need is made anew. All lists have to spare what a step may
 # differ from its prediction, between SLACK and MOST_SLACK ranges: more would hold flat neighbours.
 SEVERAL, WAY, ROOM, SLACK, MOST_SLACK, LOOSE = 4.0, 0.25, 1.2, 0.05, 0.25, 2.0
+# Ranges that a new list of sites has to spare beyond that, so that it holds for the steps after the next one.
+HELD = 0.05
 # Ranges that a list of sites reaches for the longest step where something is near.
-LONGEST = 1.01 * (MOST_SLACK + 0.5 * ROOM * STRIDE)
+LONGEST = 1.01 * (MOST_SLACK + HELD + 0.5 * ROOM * STRIDE)
 # Ranges that an explicit step may differ from its prediction, and that lists for many of them have to spare.
-NEXT_SLACK, EXPLICIT_SLACK = 0.01, 0.1
+NEXT_SLACK, EXPLICIT_SLACK = 0.01, 0.05
 # What is active is told for this many explicit steps, and so many ranges to spare.
 ACTIVE_STEPS, ACTIVE_SLACK = 16.0, 0.02
 # Reach of a list of candidates: ranges, and steps like the next one; of the latter FEWEST at least, and more
@@ -275,7 +277,8 @@ def _close(contact: Contact, x: Array, ahead: Array, moved: Array, spare: Array)
     """Motions of the next steps from `x` (n, 3), of which the first one goes to `ahead` and moves nodes by
     `moved` (n,): from the middle of their way, so that both its ends are as near as can be."""
     steps = jnp.clip(WAY * contact.range / jnp.maximum(jnp.max(moved), 1e-300), 1.0, SEVERAL)
-    return Around(x + 0.5 * steps * (ahead - x), spare + 0.5 * ROOM * steps * moved)
+    reach = spare + HELD * contact.range + 0.5 * ROOM * steps * moved
+    return Around(x + 0.5 * steps * (ahead - x), reach)
 
 
 def _comes_through(wall: Wall, state: State, beyond: Array) -> Array:
