@@ -59,6 +59,17 @@ def test_a_run_cut_anywhere_goes_on_to_the_same_bits(monkeypatch):
                 assert np.asarray(a).tobytes() == np.asarray(b).tobytes(), (cut, name)
 
 
+def test_a_list_of_sites_holds_for_several_implicit_steps():
+    """To make one takes as long as a step or two."""
+    (scene, state), solver = moving_layers(0.3), jc.integrator(scheme="dynamic")
+    made = set()
+    for _ in range(40):
+        state = jc.simulate(scene, state, 1.0, solver=solver, max_attempts=1).state
+        made.add(np.asarray(state.listing.near.x).tobytes())
+    assert int(state.counters.steps[IMPLICIT]) > 30
+    assert len(made) < 6
+
+
 def test_lists_and_places_are_those_that_a_state_waits_for():
     scene, state = pressed_layers()
     far = Around(state.x, jnp.full(scene.n_nodes, 3.0 * SIGMA))
