@@ -1,11 +1,11 @@
 """Who meets whom: candidate pairs of triangles, and the pairs of sites among them, as lists that hold for a
 while.
 
-Two tiers, and a third one in `jaxcrumple.model.active`. `Candidates` are pairs of triangles that may come within the contact range while no node moves
-further than its reach, which is that of many steps. `Near` are those that may do so within a step or two,
-with their pairs of sites. Motion counts from the positions at which a list was made, less the mean motion of
-the sheet, which changes no distance. Lists are ordered and what does not interact adds exact zeros, so
-results do not depend on when a list was made.
+Two tiers, and a third one in `jaxcrumple.model.active`. `Candidates` are pairs of triangles that may come
+within the contact range while no node moves further than its reach, which is that of many steps. `Near` are
+those that may do so within a few steps, with their pairs of sites. Motion counts from the positions at which
+a list was made, less the mean motion of the sheet, which changes no distance. Lists are ordered and what does
+not interact adds exact zeros, so results do not depend on when a list was made.
 """
 
 from functools import reduce
