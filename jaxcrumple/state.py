@@ -10,7 +10,7 @@ from jax.typing import ArrayLike
 
 from jaxcrumple.model.contact import Contact
 from jaxcrumple.model.fields import is_known
-from jaxcrumple.model.near import Around
+from jaxcrumple.model.near import Around, nowhere
 from jaxcrumple.model.scene import Scene
 
 # Reach in ranges of the first list of sites at most, and of the first places in the matrix at least.
@@ -189,13 +189,14 @@ class Slopes(NamedTuple):
 class Listing(eqx.Module):
     """What the lists of contact are made for, so that a saved state finds the same ones.
 
-    `candidates`, `near`: as in `Contact`; `matrix`: pairs of triangles that have a place in a direct solver's
-    matrix, `stale` where one lacks it; `needed` (4,): 0, or what the lists must hold where one was too short:
-    as `Near.needed`, and candidates.
+    `candidates`, `near`, `active`: as in `Contact`; `matrix`: pairs of triangles that have a place in the
+    matrix of a direct solver, `stale` where one lacks it; `needed` (4,): 0, or what the lists must hold where
+    one was too short: as `Near.needed`, and candidates.
     """
 
     candidates: Around
     near: Around
+    active: Around
     matrix: Around
     stale: Array
     needed: Array
@@ -306,7 +307,8 @@ def first_listing(contact: Contact, x: Array) -> Listing:
     around = Around(x, jnp.broadcast_to(contact.calm, x.shape[0]))
     near = Around(x, jnp.minimum(around.reach, FIRST * contact.range))
     matrix = Around(x, jnp.maximum(around.reach, FIRST_PLACED * contact.range))
-    return Listing(around, near, matrix, jnp.asarray(False), jnp.zeros(4, int))
+    active = nowhere(x.shape[0])
+    return Listing(around, near, active, matrix, jnp.asarray(False), jnp.zeros(4, int))
 
 
 def restarted(scene: Scene, state: State, x: Array, v: Array) -> State:

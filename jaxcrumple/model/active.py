@@ -30,8 +30,8 @@ LISTED, SIFTED, TRIANGLES = 4096, 1024, 1024
 class Active(eqx.Module):
     """What a list of sites holds for small motions `around` positions where it holds itself.
 
-    `picked` (P,): pairs as `Near.picked`, the first `count` of which may interact; `doubted` (T,): places of
-    pairs of triangles, the first `doubted_count` of which may touch.
+    `picked` (P,): pairs as `Near.picked`, the first `count` of which may interact, -1 where they are yet to
+    be found; `doubted` (T,): places of pairs of triangles, the first `doubted_count` of which may touch.
     """
 
     picked: Array
@@ -42,9 +42,10 @@ class Active(eqx.Module):
 
 
 def no_active(n: int, sites: int, room: Room) -> Active:
-    """A list that holds nowhere, for so many `sites` a triangle."""
-    zero, picked = jnp.zeros((), int), jnp.zeros(room.pairs, place_type(room.sites * sites))
-    return Active(picked, zero, jnp.zeros(room.triangles, jnp.int32), zero, nowhere(n))
+    """One that has yet to be found, for so many `sites` a triangle."""
+    picked = jnp.zeros(room.pairs, place_type(room.sites * sites))
+    doubted, zero = jnp.zeros(room.triangles, jnp.int32), jnp.asarray(0, int)
+    return Active(picked, jnp.asarray(-1, int), doubted, zero, nowhere(n))
 
 
 def find_active(contact: "Contact", around: Around) -> Active:
@@ -66,7 +67,8 @@ def likely(contact: "Contact", x: Array) -> tuple[Array, Array]:
 
 
 def interacting(contact: "Contact", x: Array) -> tuple[Array, Array]:
-    """Those that interact at positions `x` (n, 3), or would just beyond the range."""
+    """Those that interact at positions `x` (n, 3), or would just beyond the range: the same ones whenever the
+    list was made."""
     return _sifted(contact, x, None)
 
 
@@ -87,8 +89,9 @@ def _within(near: Near, moves: Array) -> tuple[Array, Array]:
 
 
 def _roughly(contact: "Contact", x: Array, moves: Array | None) -> tuple[Array, Array]:
-    """Pairs of sites that may come within the range by `moves` (T,) m from positions `x` (n, 3): nine in ten
-    are told by how far they were apart and how far their triangles have moved."""
+    """Pairs of sites that may come within the range by `moves` (T,) m from positions `x` (n, 3), or, without
+    any, may be within it or just beyond: nine in ten are told by how far they were apart and how far their
+    triangles have moved."""
     contact, x = jax.lax.stop_gradient((contact, x))
     near = contact.near
     limit = contact.range / CLOSER if moves is None else contact.range + moves

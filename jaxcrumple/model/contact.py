@@ -128,7 +128,7 @@ class Contact(eqx.Module):
             _, distance = separation(pairs, x)
             return total + jnp.sum(pairs.strength * contact._potential(distance))
 
-        return self._sum(x, likely(self, x), add, jnp.zeros((), x.dtype))
+        return self._sum(x, interacting(self, x), add, jnp.zeros((), x.dtype))
 
     def force(self, x: Array) -> Array:
         """Nodal forces (n, 3) in N, (27)-(28); NaN where the list of pairs does not hold."""
@@ -189,8 +189,8 @@ class Contact(eqx.Module):
         near = self.near
         pairs = site_pairs(self, near.picked, jnp.arange(near.room.pairs) < near.site_count)
         _, distance = separation(pairs, x)
-        active = (pairs.strength > 0) & (distance < self.range)
-        return jnp.min(jnp.where(active, distance, jnp.inf)), jnp.sum(active)
+        pushing = (pairs.strength > 0) & (distance < self.range)
+        return jnp.min(jnp.where(pushing, distance, jnp.inf)), jnp.sum(pushing)
 
     def _closer(self, distance: Array) -> Array:
         """What motion may leave of distances: no less than halfway to where a barrier is infinite."""

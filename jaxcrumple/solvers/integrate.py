@@ -18,7 +18,6 @@ from jaxcrumple.solvers.implicit import Attempt, aligns
 from jaxcrumple.solvers.ledger import booked
 from jaxcrumple.solvers.linear import Factor
 from jaxcrumple.solvers.lists import (
-    EXPLICIT_SLACK,
     Lists,
     largest_move,
     listed,
@@ -322,14 +321,17 @@ def _with_result(state: State, failed: Array, result: Any) -> State:
 def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
     """Run the explicit stage for as long as it lasts."""
 
-    def unfinished(carry: _Carry) -> Array:
-        return _going(carry) & (carry.state.stage == EXPLICIT) & ~_interrupted(carry)
-
     def body(carry: _Carry) -> _Carry:
         return _explicit_step(scene, carry, t_stop, solver)
 
-    carry = carry._replace(state=with_slopes(listed(scene, carry.lists), carry.state, unfinished(carry)))
-    return jax.lax.while_loop(unfinished, body, carry)
+    now = listed(scene, carry.lists)
+    carry = carry._replace(state=with_slopes(now, carry.state, _takes_explicit(carry)))
+    return jax.lax.while_loop(_takes_explicit, body, carry)
+
+
+def _takes_explicit(carry: _Carry) -> Array:
+    """Whether the next step is an explicit one."""
+    return _going(carry) & (carry.state.stage == EXPLICIT) & ~_interrupted(carry)
 
 
 def _explicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
@@ -340,22 +342,25 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
     wanted = jnp.minimum(jnp.where(started, jnp.minimum(state.h_explicit, cap), cap), solver.max_step)
     if scene.contact is None:
         return _explicit_attempt(scene, carry, t_stop, solver, wanted, cap)
-    spare = EXPLICIT_SLACK * scene.contact.range
     wanted = wanted * largest_move(scene, carry.lists, state.x, state.x + wanted * state.v)
-    following = state.x + wanted * (state.v + 0.5 * wanted * state.slopes.acceleration)
+    bend = 0.5 * wanted**2 * state.slopes.acceleration
+    following, differs = state.x + wanted * state.v + bend, jnp.linalg.norm(bend, axis=1)
 
     def looked_ahead() -> tuple[State, Lists | None, Array]:
         ahead = state.x + LOOK_AHEAD * wanted * state.v
         ahead = state.x + largest_move(scene, carry.lists, state.x, ahead) * (ahead - state.x)
-        return ready_for(scene, state, carry.lists, ahead, spare)
+        return ready_for(scene, state, carry.lists, ahead)
 
-    holds = still_ready(scene, state, carry.lists, following)
+    holds = still_ready(scene, state, carry.lists, following, differs)
     held = (state, carry.lists, jnp.asarray(True))
     after, lists, ready = jax.lax.cond(holds, lambda: held, looked_ahead)
+    # A batch takes this step in all its lanes.
+    going = ready & _takes_explicit(carry)
 
     def attempt(carry: _Carry) -> _Carry:
         assert carry.lists is not None
-        carry = carry._replace(lists=with_active(scene, carry.lists, state.x, following))
+        now, lists = with_active(scene, carry.state, carry.lists, following, differs, going)
+        carry = carry._replace(state=now, lists=lists)
         return _explicit_attempt(scene, carry, t_stop, solver, wanted, cap)
 
     return jax.lax.cond(ready, attempt, lambda carry: carry, carry._replace(state=after, lists=lists))

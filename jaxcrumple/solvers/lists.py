@@ -25,14 +25,14 @@ from jaxcrumple.state import NEVER, Listing, State
 STRIDE, UNKNOWN = 1.0, 0.25
 # A list of sites is made for SEVERAL steps as long as they go no further than WAY ranges, with some ROOM; one
 # that reaches LOOSE times further than steps now need is made anew. All lists have to spare what a step may
-# differ from its prediction, between SLACK and MOST_SLACK ranges: more would hold flat neighbours.
+# differ from its prediction, between SLACK and MOST_SLACK ranges: more would hold many flat neighbours.
 SEVERAL, WAY, ROOM, SLACK, MOST_SLACK, LOOSE = 4.0, 0.25, 1.2, 0.05, 0.25, 2.0
 # Ranges that a new list of sites has to spare beyond that, so that it holds for the steps after the next one.
 HELD = 0.05
 # Ranges that a list of sites reaches for the longest step where something is near.
 LONGEST = 1.01 * (MOST_SLACK + HELD + 0.5 * ROOM * STRIDE)
-# Ranges that an explicit step may differ from its prediction, and that lists for many of them have to spare.
-NEXT_SLACK, EXPLICIT_SLACK = 0.01, 0.05
+# Ranges that an explicit step may differ from its prediction.
+NEXT_SLACK = 0.01
 # What is active is told for this many explicit steps, and so many ranges to spare.
 ACTIVE_STEPS, ACTIVE_SLACK = 16.0, 0.02
 # Reach of a list of candidates: ranges, and steps like the next one; of the latter FEWEST at least, and more
@@ -103,6 +103,14 @@ def listed(scene: Scene, lists: Lists | None) -> Scene:
     return with_near(eqx.tree_at(lambda s: s.contact.candidates, scene, lists.candidates), lists.near)
 
 
+def listed_active(scene: Scene, lists: Lists | None) -> Scene:
+    """The same for an explicit step, with what is `active` in it."""
+    scene = listed(scene, lists)
+    if lists is None or scene.contact is None:
+        return scene
+    return eqx.tree_at(lambda s: s.contact.active, scene, lists.active, is_leaf=lambda leaf: leaf is None)
+
+
 def renewed(scene: Scene, state: State, lists: Lists | None) -> tuple[State, Lists | None]:
     """The lists made anew where that is due; the state says whether they fitted."""
     if state.listing is None or lists is None:
@@ -126,29 +134,28 @@ def renewed(scene: Scene, state: State, lists: Lists | None) -> tuple[State, Lis
     turn = sharpest(listed(scene, lists), state.x)
     if lists.active is not None:
         # What is active is a part of the list that was.
-        former = lists.active.around
-        around = select(lists.due, nowhere(scene.n_nodes), former)
-        lists = lists._replace(active=eqx.tree_at(lambda a: a.around, lists.active, around))
+        count = jnp.where(lists.due, -1, lists.active.count)
+        lists = lists._replace(active=eqx.tree_at(lambda a: a.count, lists.active, count))
     return state, lists._replace(near=near, due=jnp.asarray(False), turn=turn)
 
 
-def listed_active(scene: Scene, lists: Lists | None) -> Scene:
-    """The same for an explicit step, with what is `active` in it."""
-    scene = listed(scene, lists)
-    if lists is None or scene.contact is None:
-        return scene
-    return eqx.tree_at(lambda s: s.contact.active, scene, lists.active, is_leaf=lambda leaf: leaf is None)
+def with_active(
+    scene: Scene, state: State, lists: Lists, ahead: Array, differs: Array, wanted: Array
+) -> tuple[State, Lists]:
+    """The lists with what is active on the way to `ahead` (n, 3), or to what `differs` (n,) from that by so
+    many m, and for some more explicit steps like that; nothing is looked for where none is `wanted`.
 
-
-def with_active(scene: Scene, lists: Lists, x: Array, ahead: Array) -> Lists:
-    """The lists with what is active on the way from `x` to `ahead` (n, 3), where they hold, and for some more
-    explicit steps like that."""
-    contact, old = listed(scene, lists).contact, lists.active
-    assert contact is not None and old is not None
-    spare, moved = NEXT_SLACK * contact.range, motion(x, ahead)
-    around = Around(x, ACTIVE_SLACK * contact.range + ACTIVE_STEPS * moved)
-    due = ~old.around.covers(ahead, spare)
-    return lists._replace(active=where_needed(due, find_active, old, contact, around))
+    When it is looked for follows from the state alone.
+    """
+    contact, listing = listed(scene, lists).contact, state.listing
+    assert contact is not None and listing is not None and lists.active is not None
+    around = Around(state.x, ACTIVE_SLACK * contact.range + ACTIVE_STEPS * motion(state.x, ahead))
+    spare = NEXT_SLACK * contact.range + differs
+    due = (state.monitor.steps == 0) | ~listing.active.covers(ahead, spare)
+    around = select(due, around, listing.active)
+    wanted = wanted & (due | (lists.active.count < 0))
+    active = where_needed(wanted, find_active, lists.active, contact, around)
+    return eqx.tree_at(lambda s: s.listing.active, state, around), lists._replace(active=active)
 
 
 def sharpest(scene: Scene, x: Array) -> Array:
@@ -205,6 +212,7 @@ def ready_for(
     listing = Listing(
         candidates=select(wide | stale, candidates, listing.candidates),
         near=select(close | stale, near, listing.near),
+        active=select(close | stale, nowhere(scene.n_nodes), listing.active),
         matrix=select(stale, _placed(contact, state.x, moved), listing.matrix),
         stale=stale,
         needed=listing.needed,
@@ -218,15 +226,16 @@ def ready_for(
     return state, lists, ready
 
 
-def still_ready(scene: Scene, state: State, lists: Lists | None, ahead: Array) -> Array:
-    """Whether the lists hold for one more step of the stage from the state, to `ahead` (n, 3).
+def still_ready(scene: Scene, state: State, lists: Lists | None, ahead: Array, differs: Array) -> Array:
+    """Whether the lists hold for one more step of the stage from the state, to `ahead` (n, 3) or to what
+    `differs` (n,) from that by so many m.
 
     For the first one they do not: lists for the longer steps of another stage are long.
     """
     contact, listing = listed(scene, lists).contact, state.listing
     assert contact is not None and listing is not None and lists is not None
     lists = lists._replace(wide=listing.candidates, close=listing.near)
-    spare = NEXT_SLACK * contact.range
+    spare = NEXT_SLACK * contact.range + differs
     holds = listing.candidates.covers(ahead, spare) & listing.near.covers(ahead, spare)
     holds = holds & ~jnp.any(lists.near.overflow) & _made(lists)
     return holds & (lists.turn < DUE_TURN) & (state.monitor.steps > 0)
