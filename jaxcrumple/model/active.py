@@ -53,7 +53,8 @@ def find_active(contact: "Contact", around: Around) -> Active:
     contact, around = jax.lax.stop_gradient((contact, around))
     near, faces = contact.near, contact.faces
     moves = near.nearer(faces, around.reach)
-    picked, count = _sifted(contact, around.x, moves)
+    limit = contact.range + moves
+    picked, count = _sifted(contact, around.x, _roughly(contact, around.x, limit), limit)
     doubted = _within(near, near.moved(faces, around.x) + moves)
     return Active(picked, count, *doubted, around)
 
@@ -63,13 +64,15 @@ def likely(contact: "Contact", x: Array) -> tuple[Array, Array]:
     how many they are."""
     if contact.active is not None:
         return contact.active.picked, contact.active.count
-    return _roughly(contact, x, None)
+    return _roughly(contact, x, contact.range)
 
 
-def interacting(contact: "Contact", x: Array) -> tuple[Array, Array]:
-    """Those that interact at positions `x` (n, 3), or would just beyond the range: the same ones whenever the
-    list was made."""
-    return _sifted(contact, x, None)
+def interacting(contact: "Contact", x: Array, nearer: float = 1.0) -> tuple[Array, Array]:
+    """Those that interact at positions `x` (n, 3), or would if distances were so much `nearer`: the same ones
+    whenever the lists were made."""
+    limit = contact.range / nearer
+    rough = likely(contact, x) if nearer == 1.0 else _roughly(contact, x, limit)
+    return _sifted(contact, x, rough, limit)
 
 
 def may_touch(contact: "Contact", *positions: Array) -> tuple[Array, Array]:
@@ -88,13 +91,11 @@ def _within(near: Near, moves: Array) -> tuple[Array, Array]:
     )  # fmt: skip
 
 
-def _roughly(contact: "Contact", x: Array, moves: Array | None) -> tuple[Array, Array]:
-    """Pairs of sites that may come within the range by `moves` (T,) m from positions `x` (n, 3), or, without
-    any, may be within it or just beyond: nine in ten are told by how far they were apart and how far their
-    triangles have moved."""
-    contact, x = jax.lax.stop_gradient((contact, x))
+def _roughly(contact: "Contact", x: Array, limit: Array) -> tuple[Array, Array]:
+    """Pairs of sites that may be as near as a `limit` in m, one for all or (T,), at positions `x` (n, 3):
+    nine in ten are told by how far they were apart and how far their triangles have moved."""
+    contact, x, limit = jax.lax.stop_gradient((contact, x, limit))
     near = contact.near
-    limit = contact.range / CLOSER if moves is None else contact.range + moves
     reach = limit + near.moved(contact.faces, x)
 
     def may(at: Array) -> Array:
@@ -103,17 +104,17 @@ def _roughly(contact: "Contact", x: Array, moves: Array | None) -> tuple[Array, 
     return compacted(may, near.site_count, 1, near.room.pairs, LISTED, lambda at: near.picked[at])
 
 
-def _sifted(contact: "Contact", x: Array, moves: Array | None) -> tuple[Array, Array]:
-    """The same by their distance, which takes longer to tell."""
-    contact, x = jax.lax.stop_gradient((contact, x))
-    rough, count = _roughly(contact, x, moves)
+def _sifted(contact: "Contact", x: Array, rough: tuple[Array, Array], limit: Array) -> tuple[Array, Array]:
+    """Those of `rough` that are as near by their distance, which takes longer to tell."""
+    contact, x, limit = jax.lax.stop_gradient((contact, x, limit))
+    picked, count = rough
 
     def close(at: Array) -> Array:
-        pairs = site_pairs(contact, rough[at], jnp.ones_like(at, bool))
-        limit = contact.range / CLOSER if moves is None else contact.range + moves[pairs.owner]
-        return (separation(pairs, x)[1] < limit)[:, None]
+        pairs = site_pairs(contact, picked[at], jnp.ones_like(at, bool))
+        most = limit if limit.ndim == 0 else limit[pairs.owner]
+        return (separation(pairs, x)[1] < most)[:, None]
 
-    return compacted(close, count, 1, contact.near.room.pairs, SIFTED, lambda at: rough[at])
+    return compacted(close, count, 1, contact.near.room.pairs, SIFTED, lambda at: picked[at])
 
 
 class SitePairs(NamedTuple):

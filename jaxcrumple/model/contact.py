@@ -171,7 +171,7 @@ class Contact(eqx.Module):
     def nearer_product(self, x: Array) -> Callable[[Array], Array]:
         """The function of displacements (n, 3) in m that the Hessian makes forces of, in N, as if distances
         were a little smaller than at positions `x` (n, 3): as motion may leave them."""
-        found, holds = interacting(self, x), self.covers(x)
+        found, holds = interacting(self, x, CLOSER), self.covers(x)
 
         def add(total: Array, contact: "Contact", both: tuple[Array, Array], pairs: SitePairs) -> Array:
             (r, distance), (change, _) = separation(pairs, both[0]), separation(pairs, both[1])

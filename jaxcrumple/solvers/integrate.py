@@ -10,6 +10,7 @@ from jax.typing import ArrayLike
 
 from jaxcrumple.model.fields import as_float, select
 from jaxcrumple.model.lanes import where_needed
+from jaxcrumple.model.near import motion
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.bdf import push
 from jaxcrumple.solvers.explicit import with_slopes
@@ -343,16 +344,16 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
     if scene.contact is None:
         return _explicit_attempt(scene, carry, t_stop, solver, wanted, cap)
     wanted = wanted * largest_move(scene, carry.lists, state.x, state.x + wanted * state.v)
-    bend = 0.5 * wanted**2 * state.slopes.acceleration
-    following, differs = state.x + wanted * state.v + bend, jnp.linalg.norm(bend, axis=1)
+    straight = state.x + wanted * state.v
+    following = straight + 0.5 * wanted**2 * state.slopes.acceleration
+    differs = motion(straight, following)
 
     def looked_ahead() -> tuple[State, Lists | None, Array]:
         ahead = state.x + LOOK_AHEAD * wanted * state.v
         ahead = state.x + largest_move(scene, carry.lists, state.x, ahead) * (ahead - state.x)
         return ready_for(scene, state, carry.lists, ahead)
 
-    holds = still_ready(scene, state, carry.lists, following, differs)
-    held = (state, carry.lists, jnp.asarray(True))
+    holds, held = still_ready(scene, state, carry.lists, following, differs), (state, carry.lists, True)
     after, lists, ready = jax.lax.cond(holds, lambda: held, looked_ahead)
     # A batch takes this step in all its lanes.
     going = ready & _takes_explicit(carry)
