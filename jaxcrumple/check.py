@@ -9,7 +9,7 @@ from jaxcrumple.scenes import SCENES
 def described(config: RunConfig) -> list[str]:
     """Lines on scene, sheet, walls, contact, material, solver and end, and what the run may take.
 
-    What only the mesh tells is not looked at, such as a node behind a wall.
+    What only the scene itself tells is not looked at, such as a wall with no room for the sheet.
 
     **Raises:** `MeshError` for a mesh file that cannot be used.
     """

@@ -6,6 +6,7 @@ surface of the sheet yields, curvature = strain / (thickness / 2), so that it ch
 `calibrate_fold` finds it from a fold.
 """
 
+import contextlib
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -75,7 +76,10 @@ def with_preset(found: Preset, values: Mapping[str, Any]) -> dict[str, Any]:
     own: dict[str, Any] = {"young_modulus": found.young_modulus, "density": found.density}
     own["thickness"] = found.thickness
     if values.get("yield_c0") is None:
-        own["yield_curvature"] = found.yield_curvature(values.get("thickness", found.thickness))
+        thickness = values.get("thickness", found.thickness)
+        # One that cannot be is refused where it is used.
+        with contextlib.suppress(TypeError, ZeroDivisionError):
+            own["yield_curvature"] = found.yield_curvature(thickness)
     else:
         own["yield_curvature"] = None
     return own | dict(values)

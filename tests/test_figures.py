@@ -107,7 +107,17 @@ def test_figures_are_drawn_with_the_data_behind_them(rolled, tmp_path, name):
     paths = FIGURES[name].draw({"radial": run}, tmp_path)
     assert {path.suffix for path in paths} == {".png", ".csv"}
     assert all(path.stat().st_size > 10_000 for path in paths if path.suffix == ".png")
-    assert all(len(pd.read_csv(path)) for path in paths if path.suffix == ".csv")
+    tables = {path.stem: pd.read_csv(path) for path in paths if path.suffix == ".csv"}
+    assert all(len(table) for table in tables.values())
+    if name == "8b":
+        # What is cut lies in the plane, within the sheet's size, and each triangle once.
+        size = np.ptp(run.x[-1], axis=0).max()
+        cut = tables["figure_8b_2"]
+        assert 0.5 * size < np.ptp(cut[["u0", "u1", "w0", "w1"]].to_numpy()) < 1.5 * size
+        assert cut["face"].is_unique
+    if name == "9":
+        areas = tables["figure_9d_areas"].groupby("cycle")["area"].sum()
+        np.testing.assert_allclose(areas, run.mesh.area, rtol=1e-12)
 
 
 @pytest.mark.slow
@@ -137,6 +147,14 @@ def test_the_command_draws_a_figure_and_refuses_others(tmp_path):
     assert answer.exit_code == 0, answer.output
     assert sorted(path.name for path in (tmp_path / "four").iterdir()) == ["figure_4.csv", "figure_4.png"]
     table = pd.read_csv(tmp_path / "four" / "figure_4.csv")
+    # Blocks of one size hold what entries fill of them.
+    both = table[["Hilbert curve", "y coordinate"]].to_numpy()
+    filled = table[["Hilbert curve: filled", "y coordinate: filled"]].to_numpy()
+    np.testing.assert_allclose(filled[:, 0] / filled[:, 1], both[:, 0] / both[:, 1])
+    assert filled[0, 0] > 0.5 and (np.diff(filled[:, 0]) < 0.02).all()
     assert (table["Hilbert curve"].diff().dropna() > -0.05).all() and table["Hilbert curve"].iloc[-1] > 0.8
+    (tmp_path / "file").write_text("")
+    refused = CliRunner().invoke(app, ["figure", "4", "--out", str(tmp_path / "file")])
+    assert refused.exit_code != 0 and "is a file; give a folder" in str(refused.exception)
     refused = CliRunner().invoke(app, ["figure", "8e"])
     assert refused.exit_code != 0 and "figure '8e' is unknown" in str(refused.exception)

@@ -202,15 +202,21 @@ def test_check_counts_the_nodes_of_a_mesh_file(file, tmp_path):
 def test_estimates_of_what_was_measured():
     """README's numbers, of one day and machine, lie in the range or not far off."""
     measured = [
-        (configure("radial", t_end=3.7, settings=["contact=none"]), 1000, 48),
-        (configure("radial", t_end=3.7, settings=["contact=none"]), 12000, 659),
-        (configure("radial", t_end=4.5), 3000, 28.7 * 60),
-        (configure("cap"), 500, 1.7),
+        (configure("radial", t_end=3.7, settings=["contact=none"]), 1000, 21),
+        (configure("radial", t_end=3.7, settings=["contact=none"]), 3000, 139),
+        (configure("radial", t_end=4.5), 3000, 17.6 * 60),
+        (configure("cap"), 500, 0.9),
+        (configure("stamping"), 1000, 3.1 * 60),
+        (configure("shell"), 1000, 4.7 * 60),
+        (configure("cylindrical"), 3000, 21.3 * 60),
+        (configure("conical", settings=["pull=0.045"]), 1000, 11.6 * 60),
+        (configure("axial", settings=["cycles=5"]), 2000, 94.5 * 60),
     ]
     for asked, nodes, seconds in measured:
         least, most = estimate(asked, nodes).run
         assert least / 2 < seconds < 2 * most
-    assert estimate(configure("radial"), 12000).memory == pytest.approx(2.1e9, rel=0.1)
+    for settings, memory in (([], 4.2e9), (["contact=none"], 1.3e9)):
+        assert estimate(configure("radial", settings=settings), 1000).memory == pytest.approx(memory, rel=0.4)
 
 
 def test_the_commands(file, tmp_path, monkeypatch, capsys):

@@ -91,6 +91,9 @@ def test_single_values_replace_those_of_a_preset():
     assert (config.material.density, config.material.build().yield_c0) == (1000.0, 0.3)
     with pytest.raises(ValueError, match="preset 'papr' is unknown; did you mean 'paper'"):
         jc.preset("papr")
+    for thickness in (0.0, -1e-4, "thick"):
+        with pytest.raises(ValueError, match=r"thickness = .* is not usable"):
+            jc.preset("Mylar", thickness=thickness)
 
 
 @pytest.mark.parametrize("settings", [["yield_c0=0.3"], ["preset=Mylar", "thickness=1 mm"]])

@@ -1,5 +1,6 @@
 """Fig. 9: repeated axial crumpling: growth of the crease length, facets, and how their areas are spread."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import pandas as pd
 from jaxcrumple.config import RunConfig, configure
 from jaxcrumple.figures.base import Figure, Runs, save_table
 from jaxcrumple.io import Run
-from jaxcrumple.measure import crease_length, fit_areas, fit_growth, segment_facets
+from jaxcrumple.measure import Facets, crease_length, fit_areas, fit_growth, segment_facets
 from jaxcrumple.plot import about
 from jaxcrumple.plot_facets import plot_areas, plot_facets, plot_growth
 from jaxcrumple.scenes.axial import AxialTimes
@@ -57,15 +58,22 @@ def _draw(runs: Runs, folder: Path) -> list[Path]:
         save_table(pd.concat(fits), folder / "figure_9b_laws.csv"),
     ]
     rows: list[dict[str, Any]] = []
+    areas: list[pd.DataFrame] = []
     for cycle, frame in enumerate(cycle_frames(next(iter(runs.values())))[:SHOWN], 1):
-        paths += _draw_facets(runs, cycle, frame, folder, rows)
+        facets = {name: segment_facets(run.mesh, run.p[frame]) for name, run in runs.items()}
+        areas += [
+            pd.DataFrame({"cycle": cycle, "run": name, "area": one.area}) for name, one in facets.items()
+        ]
+        paths += _draw_facets(runs, facets, cycle, frame, folder, rows)
+    paths.append(save_table(pd.concat(areas), folder / "figure_9d_areas.csv"))
     return [*paths, save_table(pd.DataFrame(rows), folder / "figure_9d.csv")]
 
 
-def _draw_facets(runs: Runs, cycle: int, frame: int, folder: Path, rows: list[dict[str, Any]]) -> list[Path]:
+def _draw_facets(
+    runs: Runs, facets: Mapping[str, Facets], cycle: int, frame: int, folder: Path, rows: list[dict[str, Any]]
+) -> list[Path]:
     """Facets of the first run after a cycle, and the areas of those of all runs; adds the rows of a table."""
     first = next(iter(runs.values()))
-    facets = {name: segment_facets(run.mesh, run.p[frame]) for name, run in runs.items()}
     now, after = about(first, t=first.t[frame]), f"cycle {cycle}"
     place, label = folder / f"figure_9d_facets_{cycle}.png", next(iter(facets.values())).label
     paths = [plot_facets(first.mesh, label, first.p[frame], caption=f"{now}, {after}", path=place)]

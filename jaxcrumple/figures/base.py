@@ -33,9 +33,11 @@ def make_figure(
 ) -> list[Path]:
     """Do the runs of a figure that `folder` lacks, side by side, and draw it; returns the files.
 
-    **Raises:** ValueError where a run did not come to its end, after all have ended.
+    **Raises:** ValueError where `folder` is a file, or a run did not come to its end, after all have ended.
     """
     place = Path(folder)
+    if place.exists() and not place.is_dir():
+        raise ValueError(f"{place} is a file; give a folder for the figure.")
     configs = figure.runs(full)
     if configs:
         table = campaign(configs, place / "runs", tell=tell)

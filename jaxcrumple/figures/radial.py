@@ -11,7 +11,8 @@ from jaxcrumple.config import RunConfig, configure
 from jaxcrumple.figures.base import Figure, Runs, save_table
 from jaxcrumple.figures.panels import frames_at, moments, plot_moments, table_of
 from jaxcrumple.io import Run
-from jaxcrumple.measure import mean_curvature, stacked_layers, volume_fraction
+from jaxcrumple.measure import center_of_mass, cross_section, mean_curvature, stacked_layers, volume_fraction
+from jaxcrumple.mesh import Mesh
 from jaxcrumple.plot import about, plot_steps
 from jaxcrumple.plot_sections import plot_section, plot_volume_fraction
 
@@ -60,6 +61,7 @@ def _draw_inside(runs: Runs, folder: Path) -> list[Path]:
     for place, k in enumerate(frames, 1):
         path, caption = folder / f"figure_8b_{place}.png", about(run, t=run.t[k])
         paths.append(plot_section(mesh, run.x[k], thickness, caption=caption, path=path))
+        paths.append(save_table(_cut(mesh, run.x[k]), path.with_suffix(".csv")))
     paths.append(plot_volume_fraction(fractions, caption=about(run), path=folder / "figure_8b.png"))
     rows = [
         pd.DataFrame(
@@ -75,6 +77,13 @@ def _draw_inside(runs: Runs, folder: Path) -> list[Path]:
         for k, found in zip(frames, fractions.values(), strict=True)
     ]
     return [*paths, save_table(pd.concat(rows), folder / "figure_8b.csv")]
+
+
+def _cut(mesh: Mesh, x: np.ndarray) -> pd.DataFrame:
+    """Both ends in m of the lines in which the plane of (b) cuts the triangles of a sheet at `x` (n, 3)."""
+    section = cross_section(mesh, x, center_of_mass(mesh, x), (0.0, 0.0, 1.0))
+    ends = pd.DataFrame(section.ends.reshape(-1, 4), columns=["u0", "w0", "u1", "w1"])
+    return ends.assign(face=section.faces)
 
 
 def rearrangement(run: Run) -> int:

@@ -15,7 +15,7 @@ from jaxcrumple.units import LENGTH, TIME, Metre, MetrePerSecond, Newton, Radian
 class SceneOptions(BaseModel):
     """Base of all: unknown names are errors."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class SheetModel(SceneOptions):
@@ -25,7 +25,7 @@ class SheetModel(SceneOptions):
     sweeps: int = Field(100, ge=0)
     damping: Literal["central", "paper"] = "central"
     contact: Potential | None = "penalty"
-    contact_range: Annotated[float | None, LENGTH] = Field(None, gt=0, allow_inf_nan=False)
+    contact_range: Annotated[float | None, LENGTH] = Field(None, gt=0)
     contact_level: int | None = Field(None, ge=0, le=200)
 
     @model_validator(mode="after")
@@ -40,7 +40,7 @@ class RadialOptions(SheetModel):
     size: Metre = Field(0.1, gt=0)
     radius: Metre = Field(0.071, gt=0)
     speed: MetrePerSecond = Field(0.01, gt=0)
-    hold: Annotated[float | None, TIME] = Field(None, gt=0, allow_inf_nan=False)
+    hold: Annotated[float | None, TIME] = Field(None, gt=0)
 
 
 class UnloadOptions(SheetModel):

@@ -31,7 +31,7 @@ MIDDLE = 0.1
 class Bending(AbstractMotion):
     """The halves beside the line x = 0 turn up about it, each by half of the `turn` in rad at each time.
 
-    `position` (n, 3) in m: where the nodes are in the flat sheet.
+    `position` (n, 3) in m: where the nodes are at rest.
     """
 
     position: Array = eqx.field(converter=as_float)
@@ -41,7 +41,8 @@ class Bending(AbstractMotion):
         """Positions at time `t`."""
         x, y, z = self.position.T
         half = 0.5 * self.turn(t)
-        return jnp.stack([x * jnp.cos(half), y, z + jnp.abs(x) * jnp.sin(half)], axis=1)
+        cos, sin = jnp.cos(half), jnp.sin(half)
+        return jnp.stack([x * cos - jnp.sign(x) * z * sin, y, z * cos + jnp.abs(x) * sin], axis=1)
 
 
 def ridge(
@@ -68,7 +69,9 @@ def ridge(
     if turn >= math.pi:
         raise ValueError(f"turn = {turn} rad closes the corner; choose less than pi.")
     sheet = SheetOptions(**options)
-    mesh = rectangle(width, length * (1.0 + 2.0 * FRAME), nodes, seed=seed, sweeps=sheet.sweeps)
+    along = length * (1.0 + 2.0 * FRAME)
+    flat = rectangle(width, along, nodes, seed=seed, sweeps=sheet.sweeps)
+    mesh = sheet.imperfect(flat, max(width, along), seed)
     held = np.abs(mesh.vertices[:, 1]) > 0.5 * length
     motion = Bending(jnp.asarray(mesh.vertices), Corners(jnp.array([0.0, close]), jnp.array([0.0, turn])))
     return sheet.setup(mesh, [], prescribed=Prescribed(jnp.asarray(np.repeat(held[:, None], 3, 1)), motion))

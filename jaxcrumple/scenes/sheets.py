@@ -47,13 +47,17 @@ class SheetOptions:
     def square(self, size: float, nodes: int, seed: int) -> Mesh:
         """A square of edge `size` in m around the origin of the plane z = 0, with its imperfection."""
         flat = rectangle(size, size, nodes, seed=seed, sweeps=self.sweeps)
-        return self._imperfect(flat, size, seed)
+        return self.imperfect(flat, size, seed)
 
     def disc(self, radius: float, nodes: int, seed: int) -> Mesh:
         """A disc of `radius` in m around the origin of the plane z = 0, with its imperfection."""
-        return self._imperfect(disc(radius, nodes, seed=seed, sweeps=self.sweeps), 2.0 * radius, seed)
+        return self.imperfect(disc(radius, nodes, seed=seed, sweeps=self.sweeps), 2.0 * radius, seed)
 
-    def _imperfect(self, flat: Mesh, size: float, seed: int) -> Mesh:
+    def imperfect(self, flat: Mesh, size: float, seed: int) -> Mesh:
+        """A `flat` sheet within a square of edge `size` in m around the origin, with its imperfection.
+
+        **Raises:** ValueError for an imperfection that is negative or not finite.
+        """
         if not (np.isfinite(self.imperfection) and self.imperfection >= 0):
             raise ValueError(f"imperfection = {self.imperfection!r} m must be zero or positive.")
         height = smooth_imperfection(flat.vertices[:, :2], size, self.imperfection, seed)
@@ -95,9 +99,11 @@ class SheetOptions:
 
 
 def smooth_imperfection(points: np.ndarray, size: float, amplitude: float, seed: int) -> np.ndarray:
-    """Random height (n,) of the `points` (n, 2): modes no shorter than 2 cm, largest value `amplitude`."""
+    """Random height (n,) of the `points` (n, 2) within a square of edge `size` in m, largest value
+    `amplitude`: modes no shorter than 2 cm, or the longest one where all are."""
     rng = np.random.default_rng([seed, 1])
-    highest = max(int(2.0 * size / IMPERFECTION_WAVELENGTH), 1)
+    # One wave across and one along is the least there is.
+    highest = max(int(2.0 * size / IMPERFECTION_WAVELENGTH), 2)
     waves = np.arange(1, highest + 1)
     x, y = (np.cos(np.pi * np.outer(points[:, i] / size + 0.5, waves)) for i in range(2))
     weights = rng.normal(size=(highest, highest))

@@ -34,7 +34,8 @@ def stamping(
     The ball comes down until its centre is that of the die; then the sheet has the `gap` between them.
 
     **Arguments:** `nodes` of the random mesh made with `seed`; `radius` of the disc, `die`: that of the
-    spherical die, `gap` in m; `speed` of the ball in m/s; `options` of the sheet: `SheetOptions`.
+    spherical die, `gap` in m; `speed` of the ball in m/s from the sheet on, and a little more with the
+    clearance before; `options` of the sheet: `SheetOptions`.
 
     **Raises:** ValueError for lengths or a speed that are not positive, a disc that does not fit into the
     die, or a gap that the sheet fills.
@@ -42,12 +43,17 @@ def stamping(
     check_positive(radius=radius, die=die, gap=gap, speed=speed)
     sheet = SheetOptions(**options)
     rim = radius + 2.0 * sheet.clearance
-    if die < rim:
-        raise ValueError(f"die = {die} m has no room for a disc of {radius} m; choose at least {rim:.4g} m.")
+    # Where the rim is nearest to the die there is one clearance at least.
+    inner = die - sheet.clearance - sheet.imperfection
+    if die < rim or inner < radius:
+        least = max(rim, radius + die - inner)
+        raise ValueError(
+            f"die = {die} m has no room for a disc of {radius} m; choose at least {least:.4g} m."
+        )
     deepest = die - math.sqrt(die**2 - radius**2)
     check_gap(gap, sheet.thickness, deepest, "the depth of the die under the disc")
     mesh = sheet.disc(radius, nodes, seed)
-    depth = math.sqrt(die**2 - rim**2)
+    depth = min(math.sqrt(die**2 - rim**2), math.sqrt(inner**2 - radius**2))
     x = mesh.vertices - np.array([0.0, 0.0, depth])
     ball = die - gap
     start = ball - depth + sheet.clearance + sheet.imperfection
@@ -76,7 +82,8 @@ def shell(
 
     **Arguments:** `nodes` of the random mesh made with `seed`; `radius`: length of the shell from its apex to
     its rim, `curvature_radius` of the ball, `gap` that is left between the plates in m; `speed` of the upper
-    one in m/s; `options` of the sheet: `SheetOptions`.
+    one in m/s from the shell on, and a little more with the clearance before; `options` of the
+    sheet: `SheetOptions`.
 
     **Raises:** ValueError for lengths or a speed that are not positive, a shell that is more than half of a
     ball, or a gap that it fills.
