@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 from jaxcrumple.config import RunConfig
 
-# Time of a step with inertia of n = 1000 in s, and the power of n that it grows with ("Steps": 9 to 14 ms; more
-# with contact), in which all below is counted.
+# Time of a step with inertia of n = 1000 in s, and the power of n that it grows with ("Steps": 9 to 14 ms;
+# more with contact), in which all below is counted.
 STEP, SIZE, POWER = 0.02, 1000, 1.23
 # Steps in a second of simulated time, least and most; explicit steps are counted by their time. Of `radial`:
 # a phantom sheet to R = 3.4 cm took 21 and 139 s for 3.7 s at n = 1000 and 3000.
