@@ -1,15 +1,17 @@
-"""What a configuration will run, in words, before anything is built or compiled."""
+"""What a configuration will run, in words, before anything is compiled."""
 
 from jaxcrumple.config import RunConfig
 from jaxcrumple.estimate import estimate
 from jaxcrumple.mesh import Mesh
 from jaxcrumple.scenes import SCENES
+from jaxcrumple.start import check_start
+from jaxcrumple.state import initial_state
 
 
 def described(config: RunConfig) -> list[str]:
     """Lines on scene, sheet, walls, contact, material, solver and end, and what the run may take.
 
-    What only the scene itself tells is not looked at, such as a wall with no room for the sheet.
+    What only the scene itself tells, such as a wall with no room for the sheet, `check_built` looks at.
 
     **Raises:** `MeshError` for a mesh file that cannot be used.
     """
@@ -27,6 +29,15 @@ def described(config: RunConfig) -> list[str]:
         f"until: t = {config.t_end:g} s, in {config.frames} frames",
         f"takes: {_taken(config, nodes)}",
     ]
+
+
+def check_built(config: RunConfig) -> None:
+    """Build the scene, and refuse one from which no run can start.
+
+    **Raises:** ValueError with cause and cure.
+    """
+    setup = config.build()
+    check_start(setup.scene, initial_state(setup.scene, setup.x))
 
 
 def _nodes(config: RunConfig) -> int:
@@ -59,5 +70,10 @@ def _taken(config: RunConfig, nodes: int) -> str:
 def _duration(seconds: float) -> str:
     for size, name in ((86400.0, "days"), (3600.0, "hours"), (60.0, "minutes")):
         if seconds >= 2 * size:
-            return f"{seconds / size:.2g} {name}"
-    return f"{seconds:.2g} s"
+            return f"{_rounded(seconds / size)} {name}"
+    return f"{_rounded(seconds)} s"
+
+
+def _rounded(value: float) -> str:
+    """Two digits, without a power of ten."""
+    return f"{float(f'{value:.2g}'):.10g}"

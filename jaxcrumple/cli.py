@@ -120,13 +120,15 @@ def check(
     seed: Seed = None,
     settings: Setting = None,
 ) -> None:
-    """Say what a scene or a scene file will run, and about what it takes. Nothing is built or compiled."""
-    from jaxcrumple.check import described
+    """Say what a scene or a scene file will run and what that takes, and build it. Nothing is compiled."""
+    from jaxcrumple.check import check_built, described
 
     given = {"nodes": nodes, "t_end": t_end, "seed": seed}
     config = _asked(scene, settings, {key: value for key, value in given.items() if value is not None})
     for line in described(config):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
+    check_built(config)
+    console.print("starts: with room, clear of itself and its walls")
 
 
 def _is_file(scene: str) -> bool:

@@ -24,6 +24,7 @@ from jaxcrumple.model.scene import Scene
 from jaxcrumple.scenes import Setup
 from jaxcrumple.simulate import Observer, Solution, frame_times, simulate
 from jaxcrumple.solvers.scheme import Integrator
+from jaxcrumple.start import check_start
 from jaxcrumple.state import STAGES, State, initial_state
 from jaxcrumple.summary import physics
 
@@ -73,14 +74,16 @@ def start_run(config: RunConfig, out: str | Path, observers: Sequence[Observer] 
     """Run a configuration into a new folder `out`; returns its summary.
 
     **Raises:** `RunDirectoryError` when `out` is taken or cannot be written, ValueError for
-    impossible options; both before the run begins, and nothing is left on the disk.
+    impossible options or a sheet that starts behind a wall or within itself; both before the run begins, and
+    nothing is left on the disk.
     """
     solver = config.solver.build()
     RunDirectory.check_free(out)
     setup = config.build()
+    state = initial_state(setup.scene, setup.x, ledger=config.solver.ledger)
+    check_start(setup.scene, state)
     folder = RunDirectory.create(out, config.model_dump(mode="json"))
     folder.save_mesh(setup.mesh)
-    state = initial_state(setup.scene, setup.x, ledger=config.solver.ledger)
     return _go(config, folder, setup, solver, state, 0, {}, observers)
 
 

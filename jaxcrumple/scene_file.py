@@ -38,11 +38,13 @@ def read_scene_file(
         raise ConfigError(f"{where}: {error}", error.place) from error
 
 
-def write_scene_file(config: RunConfig, path: str | Path) -> None:
-    """Write a configuration, complete, as a scene file, which `read_scene_file` reads back as an equal one.
+def write_scene_file(config: RunConfig | Mapping[str, Any], path: str | Path) -> None:
+    """Write a configuration, or that of a loaded run (`Run.config`), complete, as a scene file, which
+    `read_scene_file` reads back as an equal one.
 
     **Raises:** `RunDirectoryError` where it cannot be written.
     """
+    config = config if isinstance(config, RunConfig) else RunConfig(**config)
     write_bytes(Path(path), tomlkit.dumps(plain(config.model_dump())).encode())
 
 

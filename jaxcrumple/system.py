@@ -27,7 +27,11 @@ class Energies(NamedTuple):
 
 
 def energies(scene: Scene, x: Array, v: Array, p: Array | None, t: Array) -> Energies:
-    """Energies by term in J; the bending energy is that stored, with rest curvature `p`."""
+    """Energies by term in J; the bending energy is that stored, with rest curvature `p`.
+
+    **Raises:** ValueError for positions or velocities of another shape than (n, 3).
+    """
+    x, v = nodal(scene, x=x, v=v)
     zero = jnp.zeros((), x.dtype)
     return Energies(
         stretch=scene.membrane.energy(x),
@@ -38,6 +42,17 @@ def energies(scene: Scene, x: Array, v: Array, p: Array | None, t: Array) -> Ene
         extra=sum((e.energy(x, t) for e in scene.extra), zero),
         kinetic=0.5 * jnp.sum(scene.mass[:, None] * v * v),
     )
+
+
+def nodal(scene: Scene, **values: Array) -> list[Array]:
+    """Arrays (n, 3) of values by name, also those of NumPy.
+
+    **Raises:** ValueError that names one of another shape.
+    """
+    for name, value in values.items():
+        if jnp.shape(value) != (scene.n_nodes, 3):
+            raise ValueError(f"{name} has shape {jnp.shape(value)}; it must be ({scene.n_nodes}, 3).")
+    return [jnp.asarray(value) for value in values.values()]
 
 
 def potential_energy(scene: Scene, x: Array, p: Array | None, t: Array) -> Array:
@@ -58,7 +73,11 @@ def _external_force(scene: Scene, x: Array, t: Array) -> Array:
 
 
 def force(scene: Scene, x: Array, v: Array, p: Array | None, t: Array) -> Array:
-    """Net force F(x, v, p, t) on the nodes (n, 3) in N (eq. 2)."""
+    """Net force F(x, v, p, t) on the nodes (n, 3) in N (eq. 2).
+
+    **Raises:** ValueError for positions or velocities of another shape than (n, 3).
+    """
+    x, v = nodal(scene, x=x, v=v)
     return _force_and_rate(scene, x, v, p, t)[0]
 
 

@@ -21,6 +21,8 @@ def read_toml(path: str | Path) -> tuple[dict[str, Any], str]:
     try:
         text = Path(path).read_text(encoding="utf-8")
         return tomllib.loads(text), text
+    except FileNotFoundError as error:
+        raise ConfigError(f"{path} does not exist; give a TOML file") from error
     except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"{path} cannot be read as TOML: {error}") from error
 

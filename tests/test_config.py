@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from jaxcrumple import run
+from jaxcrumple.check import check_built
 from jaxcrumple.config import ConfigError, RunConfig, configure
 from jaxcrumple.io import RunDirectoryError
 from jaxcrumple.material import Material
@@ -96,8 +97,18 @@ def test_unknown_scenes_are_refused():
 )
 def test_impossible_scenes_leave_nothing_on_the_disk(tmp_path, settings, message):
     config = configure("radial", nodes=60, settings=[*settings, "sweeps=2"])
-    with pytest.raises(ValueError, match=message):
-        run.start_run(config, tmp_path / "a" / "run")
+    for use in (lambda: run.start_run(config, tmp_path / "a" / "run"), lambda: check_built(config)):
+        with pytest.raises(ValueError, match=message):
+            use()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_start_behind_a_wall_leaves_nothing_on_the_disk(tmp_path):
+    walls = [{"kind": "plane", "offset": "1 cm"}]
+    config = configure("custom", nodes=60, t_end=0.1, settings={"walls": walls})
+    for use in (lambda: run.start_run(config, tmp_path / "run"), lambda: check_built(config)):
+        with pytest.raises(ValueError, match=r"starts 0.01 m behind wall 0 \(Plane\); move the sheet"):
+            use()
     assert list(tmp_path.iterdir()) == []
 
 

@@ -17,6 +17,8 @@ from jaxcrumple import (
     Sphere,
     Switch,
     elastic_tangent,
+    energies,
+    force,
     initial_state,
     integrator,
     linear_solve,
@@ -77,6 +79,7 @@ def test_solvers(options, message):
         ({"gravity": 9.81}, "must be three accelerations in m/s2, e.g."),
         ({"gravity": (0, 0, np.nan)}, "must be finite"),
         ({"walls": Sphere(np.zeros(3), 0.1)}, r"must be a list of shapes or walls"),
+        ({"walls": [Sphere(np.zeros(3), np.nan)]}, r"wall 0 \(Sphere\) has NaN among its numbers"),
         ({"walls": [0.1]}, r"must be a list of shapes or walls"),
         ({"damping": "none"}, "choose 'central' or 'paper'"),
         (
@@ -88,6 +91,17 @@ def test_solvers(options, message):
 def test_surroundings(options, message):
     with pytest.raises(ValueError, match=message):
         scene(**options)
+
+
+def test_energies_and_forces_take_arrays_of_numpy_and_refuse_other_shapes():
+    x, p = np.array(MESH.vertices), np.zeros(len(MESH.hinges))
+    made = with_contacts(scene(contact=SelfContact()), x)
+    for compute in (energies, force):
+        given = (x, 0 * x, p)
+        own, its = (compute(made, *arrays, 0.0) for arrays in (given, map(jnp.asarray, given)))
+        jax.tree.map(np.testing.assert_array_equal, own, its)
+        with pytest.raises(ValueError, match=r"x has shape \(39, 3\); it must be \(40, 3\)"):
+            compute(made, x[1:], x, p, 0.0)
 
 
 def test_states_of_another_scene():

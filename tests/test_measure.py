@@ -28,6 +28,18 @@ def crumpled(mesh):
     return x, p
 
 
+def test_what_is_not_finite_is_not_measured(mesh, crumpled):
+    x, p = (np.where(np.arange(len(a)).reshape(-1, *[1] * (a.ndim - 1)) == 7, np.nan, a) for a in crumpled)
+    for what in (measure.mean_curvature, measure.edge_strain):
+        with pytest.raises(ValueError, match=r"x\[7\] is \[nan nan nan\]; it must be finite"):
+            what(mesh, x)
+    for what in (measure.crease_length, measure.segment_facets):
+        with pytest.raises(ValueError, match=r"p\[7\] is nan; it must be finite"):
+            what(mesh, p)
+        with pytest.raises(ValueError, match="threshold = -1 must be zero or positive"):
+            what(mesh, crumpled[1], threshold=-1)
+
+
 def interior(mesh):
     return np.setdiff1d(np.arange(mesh.n_nodes), mesh.boundary_nodes)
 

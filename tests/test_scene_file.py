@@ -189,6 +189,15 @@ def test_check_says_what_will_run(file):
     ):
         assert line in result.output.splitlines()
     assert "rough" in result.output
+    assert result.output.splitlines()[-1] == "starts: with room, clear of itself and its walls"
+
+
+def test_the_configuration_of_a_loaded_run_is_written_as_a_file(tmp_path):
+    asked = configure("radial", nodes=60, settings=["contact=none"])
+    jc.write_scene_file(asked.model_dump(mode="json"), tmp_path / "again.toml")
+    assert jc.read_scene_file(tmp_path / "again.toml") == asked
+    with pytest.raises(ValueError, match=r"nosuch.toml does not exist; give a TOML file"):
+        jc.read_scene_file(tmp_path / "nosuch.toml")
 
 
 def test_check_counts_the_nodes_of_a_mesh_file(file, tmp_path):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jaxcrumple.measure.strain import positions
+from jaxcrumple.measure.strain import check_finite, positions
 from jaxcrumple.mesh import FloatArray, Mesh
 
 #: A hinge is damaged if its rest curvature has moved by more than this. The smoothstep yield law leaks a
@@ -65,20 +65,26 @@ def _circumcentric_area(mesh: Mesh) -> FloatArray:
 
 
 def damaged(mesh: Mesh, p: ArrayLike, threshold: float = DAMAGE) -> NDArray[np.bool_]:
-    """Which hinges (h,) have a rest curvature `p` (h,) that moved by more than `threshold`."""
+    """Which hinges (h,) have a rest curvature `p` (h,) that moved by more than `threshold`.
+
+    **Raises:** ValueError for a threshold below 0, and as `plastic_curvature`.
+    """
+    if not threshold >= 0:
+        raise ValueError(f"threshold = {threshold!r} must be zero or positive")
     return np.abs(plastic_curvature(mesh, p)) > threshold
 
 
 def plastic_curvature(mesh: Mesh, p: ArrayLike) -> FloatArray:
     """Change (h,) of the rest curvature `p` (h,) since the sheet was new, dimensionless.
 
-    **Raises:** ValueError unless `p` has one value for each hinge.
+    **Raises:** ValueError unless `p` has one finite value for each hinge.
     """
     p = np.asarray(p, dtype=np.float64)
     if p.shape != mesh.rest_curvature.shape:
         raise ValueError(
             f"p has shape {p.shape}; give one rest curvature for each of {len(mesh.hinges)} hinges"
         )
+    check_finite("p", p)
     return p - mesh.rest_curvature
 
 

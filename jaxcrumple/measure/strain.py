@@ -11,12 +11,23 @@ from jaxcrumple.mesh import FloatArray, Mesh
 def positions(mesh: Mesh, x: ArrayLike) -> FloatArray:
     """`x` as float64 (n, 3) in m.
 
-    **Raises:** ValueError unless it has one row of three coordinates for each node of `mesh`.
+    **Raises:** ValueError unless it has one row of three finite coordinates for each node of `mesh`.
     """
     x = np.asarray(x, dtype=np.float64)
     if x.shape != (mesh.n_nodes, 3):
         raise ValueError(f"x has shape {x.shape}; give positions ({mesh.n_nodes}, 3) of this mesh in metres")
+    check_finite("x", x)
     return x
+
+
+def check_finite(name: str, values: FloatArray) -> None:
+    """Refuse what cannot be measured.
+
+    **Raises:** ValueError that names the first row that is not finite.
+    """
+    bad = np.flatnonzero(~np.isfinite(values).all(axis=tuple(range(1, values.ndim))))
+    if bad.size:
+        raise ValueError(f"{name}[{bad[0]}] is {values[bad[0]]}; it must be finite")
 
 
 def edge_length(mesh: Mesh, x: ArrayLike) -> FloatArray:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -191,6 +192,10 @@ def _check_alike(mesh: Mesh, contact: SelfContact | None, like: Scene) -> None:
 def _check_surroundings(mesh: Mesh, walls, gravity, prescribed: Prescribed | None) -> None:
     if not isinstance(walls, Sequence) or not all(isinstance(w, Wall | AbstractShape) for w in walls):
         raise ValueError(f"walls = {walls!r} must be a list of shapes or walls: [Sphere(center, radius)].")
+    for index, wall in enumerate(walls):
+        numbers = jax.tree.leaves(eqx.filter(wall, eqx.is_array))
+        if any(is_known(part) and np.any(np.isnan(part)) for part in numbers):
+            raise ValueError(f"wall {index} ({type(wall).__name__}) has NaN among its numbers.")
     if gravity is not None and np.shape(gravity) != (3,):
         raise ValueError(f"gravity = {gravity!r} must be three accelerations in m/s2, e.g. (0, 0, -9.81).")
     if gravity is not None and is_known(gravity) and not np.all(np.isfinite(gravity)):
