@@ -98,5 +98,5 @@ def test_what_cannot_be_is_refused_by_name_of_the_file(file, old, new, message):
 
 
 def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(jc.ConfigError, match="none.toml does not exist"):
+    with pytest.raises(jc.ConfigError, match=r"none\.toml does not exist"):
         read_sweep(tmp_path / "none.toml")
