@@ -341,13 +341,45 @@ def _print_options(model) -> None:
 def plot(folder: Annotated[Path, typer.Argument(help="Folder of a run, finished or not.")]) -> None:
     """Draw the pictures of a run again, and write its film for ParaView."""
     from jaxcrumple.io import RunDirectory
-    from jaxcrumple.run import export, stored_config
+    from jaxcrumple.run import film
 
-    opened = RunDirectory.open(folder)
     pictures = _plot(folder)
-    export(opened, stored_config(opened).build().scene)
-    for picture in [*pictures, opened.vtkhdf_path]:
+    for picture in [*pictures, film(RunDirectory.open(folder))]:
         console.print(str(picture), markup=False)
+
+
+@app.command()
+def verify(folder: Annotated[Path, typer.Argument(help="Folder of a run, or of several.")]) -> None:
+    """Compare all files of a run with their checksums. Nothing is changed."""
+    from jaxcrumple.io import RunDirectory, verify_runs
+
+    found = verify_runs(folder)
+    for place, wrong in found.items():
+        counts = "" if wrong else ", {2} frames, {0} rows of history".format(*RunDirectory.open(place).counts)
+        console.print(f"{place}: {'damaged' if wrong else 'sound'}{counts}", soft_wrap=True)
+        for cause in wrong.values():
+            console.print(f"  {cause}", markup=False, highlight=False, soft_wrap=True)
+        if wrong:
+            console.print(f"  go back to what is sound: jaxcrumple repair {place}", soft_wrap=True)
+    if any(found.values()):
+        raise typer.Exit(1)
+
+
+@app.command()
+def repair(folder: Annotated[Path, typer.Argument(help="Folder of a run.")]) -> None:
+    """Take a damaged run back to the last moment at which all of it is sound, to go on from there."""
+    from jaxcrumple.io import RunDirectory
+    from jaxcrumple.run import repair_run
+
+    t = repair_run(folder)
+    if t is None:
+        console.print(f"{folder} is sound; nothing was changed", soft_wrap=True)
+        return
+    scene = RunDirectory.open(folder).config["scene"]
+    console.print(
+        f"{folder} is at t = {t:.4g} s again; go on with: jaxcrumple run {scene} --resume --out {folder}",
+        soft_wrap=True,
+    )
 
 
 def _plot(folder: Path) -> list[Path]:

@@ -6,60 +6,59 @@ import sys
 import time
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from jaxcrumple.config import ConfigError, RunConfig
-from jaxcrumple.io import (
-    RunDirectory,
-    RunDirectoryError,
-    load_checkpoint,
-    save_checkpoint,
-    sheet_fields,
-    write_vtkhdf,
-)
-from jaxcrumple.model.scene import Scene
+from jaxcrumple.io import RunDirectory, RunDirectoryError, load_checkpoint, sheet_fields, write_vtkhdf
+from jaxcrumple.io.lock import writing
+from jaxcrumple.io.manifest import Manifest
+from jaxcrumple.io.rundir import FILM, PARTIAL, RUN, is_run, make_folder, read_contents
+from jaxcrumple.io.verify import check_sound, damages, go_back
+from jaxcrumple.mesh import Mesh
 from jaxcrumple.scenes import Setup
-from jaxcrumple.simulate import Observer, Solution, frame_times, simulate
+from jaxcrumple.simulate import Observer, frame_times, simulate
+from jaxcrumple.sketch import SAME, first_difference, sketch_scene
 from jaxcrumple.solvers.scheme import Integrator
-from jaxcrumple.start import check_start
-from jaxcrumple.state import STAGES, State, initial_state
+from jaxcrumple.start import check_start, pierced
+from jaxcrumple.state import RESULTS, STAGES, State, initial_state
 from jaxcrumple.summary import physics
 
+# How many checkpoints are kept to the end, beside the last one.
+KEPT = 4
 PACKAGES = ("jaxcrumple", "jax", "jaxlib", "numpy", "scipy", "diffrax", "equinox")
 
 
 class Recorder:
-    """Saves frames, rows and a checkpoint as a run goes on.
+    """Saves frames, rows and checkpoints as a run goes on.
 
-    A checkpoint holds how many rows and frames belong to it, so that a run that is killed between
-    two checkpoints resumes from the last one as if nothing had been written since.
+    Each checkpoint comes with all rows and frames before it, so that a run that is killed goes on from the
+    last one as if nothing had been written since. A few of them are kept to the end.
     """
 
-    def __init__(self, folder: RunDirectory, fingerprint: dict[str, Any], spent: dict[str, float]):
+    def __init__(self, folder: RunDirectory, frames: int, spent: dict[str, float]):
         self.folder = folder
-        self.fingerprint = fingerprint
+        self.stride = max(1, round(frames / KEPT))
         self.spent = spent
         self.start = time.perf_counter(), time.process_time()
 
     def frame(self, index: int, state: State) -> None:
         """Save a frame."""
-        self.folder.save_frame(index, float(state.t), state.x, state.v, state.p)
-        self.checkpoint(state)
+        self.folder.save_frame(float(state.t), state.x, state.v, state.p)
+        self.checkpoint(state, keep=index % self.stride == 0)
 
     def chunk(self, state: State, history: pd.DataFrame, events: pd.DataFrame, frames: int) -> None:
         """Append rows, then checkpoint."""
         numbers = history.assign(stage=[STAGES.index(stage) for stage in history["stage"]])
-        self.folder.append_history(list(history.columns), numbers.to_numpy(float))
-        self.folder.append_events(events.to_dict("records"), list(events.columns))
+        self.folder.append_history(numbers.to_numpy(float))
+        self.folder.append_events(events.to_dict("records"))
         self.checkpoint(state)
 
-    def checkpoint(self, state: State) -> None:
+    def checkpoint(self, state: State, *, keep: bool = False) -> None:
         """Save the whole state."""
-        metadata = {"counts": self.folder.counts._asdict(), "spent": self.totals()}
-        save_checkpoint(self.folder.checkpoint_path, state, metadata, fingerprint=self.fingerprint)
+        self.folder.commit(state, {"t": float(state.t), "spent": self.totals()}, keep=keep)
 
     def totals(self) -> dict[str, float]:
         """Wall and CPU seconds of this run, earlier sessions included."""
@@ -70,8 +69,12 @@ class Recorder:
         }
 
 
-def start_run(config: RunConfig, out: str | Path, observers: Sequence[Observer] = ()) -> dict[str, Any]:
+def start_run(
+    config: RunConfig, out: str | Path, observers: Sequence[Observer] = (), *, wait: bool = False
+) -> dict[str, Any]:
     """Run a configuration into a new folder `out`; returns its summary.
+
+    `wait`: for another process that writes into the folder to end, instead of refusing.
 
     **Raises:** `RunDirectoryError` when `out` is taken or cannot be written, ValueError for
     impossible options or a sheet that starts behind a wall or within itself; both before the run begins, and
@@ -82,30 +85,105 @@ def start_run(config: RunConfig, out: str | Path, observers: Sequence[Observer] 
     setup = config.build()
     state = initial_state(setup.scene, setup.x, ledger=config.solver.ledger)
     check_start(setup.scene, state)
-    folder = RunDirectory.create(out, config.model_dump(mode="json"))
-    folder.save_mesh(setup.mesh)
-    return _go(config, folder, setup, solver, state, 0, {}, observers)
+    with writing(make_folder(out), wait=wait):
+        folder = _begin(Path(out), config, setup)
+        return _go(config, folder, setup, solver, state, {}, observers)
 
 
-def resume_run(out: str | Path, observers: Sequence[Observer] = ()) -> dict[str, Any]:
+def resume_run(out: str | Path, observers: Sequence[Observer] = (), *, wait: bool = False) -> dict[str, Any]:
     """Go on with the run in folder `out` from its last checkpoint; returns its summary.
 
-    **Raises:** `RunDirectoryError` when `out` is not a run, `CheckpointError` when its checkpoint is
-    damaged or belongs to another run.
+    All files of the run are checked first. One that was successful is only read. `wait` as in `start_run`.
+
+    **Raises:** `RunDirectoryError` when `out` is not a run, is damaged, or is being written by another
+    process; ValueError when its options no longer make the scene it began with.
     """
-    folder = RunDirectory.open(out)
+    path = RunDirectory.open(out).path
+    with writing(path, wait=wait):
+        lacking = check_sound(path)
+        folder = RunDirectory.open(path)
+        summary = {} if lacking else folder.read_summary()
+        if summary.get("result") == "success":
+            return summary
+        config = stored_config(folder)
+        solver, setup = config.solver.build(), _built_again(config, folder)
+        folder.cut()
+        state, spent = initial_state(setup.scene, setup.x, ledger=config.solver.ledger), {}
+        if folder.manifest.checkpoint is not None:
+            state, metadata = load_checkpoint(path / folder.manifest.checkpoint, state)
+            spent = metadata["spent"]
+        return _go(config, folder, setup, solver, state, spent, observers)
+
+
+def repair_run(out: str | Path) -> float | None:
+    """Take the run in folder `out` back to the last moment before all damage; its time in s.
+
+    The run goes on from there by `resume_run`, to the same answer. Returns None where nothing is damaged.
+
+    **Raises:** `RunDirectoryError` when `out` is not a run, is being written, or nothing of it is sound.
+    """
+    path = Path(out)
+    if not (path.is_dir() and is_run(path)):
+        RunDirectory.open(path)
+    with writing(path):
+        if not damages(path):
+            return None
+        t = go_back(path)
+        if t is not None:
+            RunDirectory.open(path).cut()
+            return t
+        _begin_again(path)
+        return 0.0
+
+
+def _begin(path: Path, config: RunConfig, setup: Setup) -> RunDirectory:
+    """A new run folder with the sheet in it."""
+    scene = setup.scene
+    stiffness = np.asarray(scene.membrane.stiffness), np.asarray(scene.bending.stiffness)
+    return RunDirectory.create(
+        path, config.model_dump(mode="json"), setup.mesh, stiffness, sketch_scene(scene, setup.x)
+    )
+
+
+def _begin_again(path: Path) -> None:
+    """Empty the folder of a run of which only `run.json` is sound, so that it starts from t = 0."""
+    try:
+        contents = read_contents(path, (path / RUN).read_bytes())
+    except (OSError, RunDirectoryError) as error:
+        raise RunDirectoryError(
+            f"nothing in {str(path)!r} is sound enough to go on from ({error}); start the run again in a new "
+            "folder"
+        ) from error
+    folder = RunDirectory(path, contents, Manifest())
     config = stored_config(folder)
-    solver = config.solver.build()
+    setup = _built_again(config, folder, mesh=False)
+    folder.clear()
+    _begin(path, config, setup)
+
+
+def _built_again(config: RunConfig, folder: RunDirectory, *, mesh: bool = True) -> Setup:
+    """The run's mesh, scene and start.
+
+    **Raises:** ValueError if they are not those that the run began with.
+    """
     setup = config.build()
-    like = initial_state(setup.scene, setup.x, ledger=config.solver.ledger)
-    if not folder.checkpoint_path.exists():
-        folder.rewind(0, 0, 0)
-        folder.save_mesh(setup.mesh)
-        return _go(config, folder, setup, solver, like, 0, {}, observers)
-    state, metadata = load_checkpoint(folder.checkpoint_path, like, fingerprint=_fingerprint(config))
-    counts = metadata["counts"]
-    folder.rewind(counts["history_rows"], counts["event_rows"], counts["frames"])
-    return _go(config, folder, setup, solver, state, counts["frames"], metadata["spent"], observers)
+    other = first_difference(folder.built, sketch_scene(setup.scene, setup.x))
+    if mesh and not _same_mesh(folder.load_mesh(), setup.mesh):
+        other = "mesh"
+    if other:
+        raise RunDirectoryError(
+            f"the options of {str(folder.path)!r} now make another {other} than the run began with: a file "
+            "that they name was changed since, or another version of the program builds it differently. "
+            "Restore the file or the version, or start a new run in another folder"
+        )
+    return setup
+
+
+def _same_mesh(saved: Mesh, now: Mesh) -> bool:
+    if not np.array_equal(saved.faces, now.faces):
+        return False
+    size = float(np.max(np.ptp(saved.vertices, axis=0)))
+    return np.allclose(saved.vertices, now.vertices, rtol=0.0, atol=SAME * size)
 
 
 def stored_config(folder: RunDirectory) -> RunConfig:
@@ -116,8 +194,14 @@ def stored_config(folder: RunDirectory) -> RunConfig:
         raise RunDirectoryError(f"{folder.path}: run.json cannot be read as a run: {error}") from error
 
 
-def _fingerprint(config: RunConfig) -> dict[str, Any]:
-    return config.model_dump(mode="json")
+class Ending(NamedTuple):
+    """How a run ended: its last good state, the name of its result and what it means, and seconds spent on
+    compiling."""
+
+    state: State
+    result: str
+    message: str
+    compile_s: float
 
 
 def _go(
@@ -126,40 +210,58 @@ def _go(
     setup: Setup,
     solver: Integrator,
     state: State,
-    first_frame: int,
     spent: dict[str, float],
     observers: Sequence[Observer],
 ) -> dict[str, Any]:
-    recorder = Recorder(folder, _fingerprint(config), spent)
-    solution = simulate(
-        setup.scene,
-        state,
-        frame_times(config.t_end, config.frames),
-        solver=solver,
-        observers=(recorder, *observers),
-        first_frame=first_frame,
-    )
-    if solution.result != "success":
-        # The last good state is worth seeing even where no frame was due.
-        recorder.checkpoint(solution.state)
-    summary = _summary(config, folder, setup, solution, recorder)
-    folder.write_summary(summary)
-    export(folder, setup.scene)
+    """Simulate what is left, and write the ending: the summary last, so that it speaks for all the rest."""
+    recorder = Recorder(folder, config.frames, spent)
+    times, reached = frame_times(config.t_end, config.frames), len(folder.frames())
+    if reached == len(times):
+        ending = _ended(setup, state)
+    else:
+        watchers = (recorder, *observers)
+        solution = simulate(setup.scene, state, times, solver=solver, observers=watchers, first_frame=reached)
+        ending = Ending(solution.state, solution.result, solution.message, solution.compile_s)
+        # The last good state is worth keeping even where no frame was due.
+        recorder.checkpoint(ending.state)
+    export(folder)
+    summary = _summary(config, folder, setup, ending, recorder)
+    folder.finish(summary)
     return summary
 
 
-def export(folder: RunDirectory, scene: Scene) -> None:
-    """Write the film for ParaView from the saved frames."""
+def _ended(setup: Setup, state: State) -> Ending:
+    """The ending of a run that had saved all its frames when it was cut off."""
+    scene = setup.scene
+    through = scene.contact is not None and len(pierced(scene, state.x))
+    result = RESULTS.intersected if through else RESULTS.success
+    return Ending(state, "intersected" if through else "success", RESULTS[result], 0.0)  # type: ignore[misc]
+
+
+def export(folder: RunDirectory, name: str = FILM) -> Path | None:
+    """Write the film for ParaView from the saved frames, if there are any; its path."""
+    frames = folder.load_frames()
+    if not frames:
+        return None
     mesh = folder.load_mesh()
-    fields = sheet_fields(mesh, np.asarray(scene.membrane.stiffness), np.asarray(scene.bending.stiffness))
-    frames = (folder.load_frame(index) for index in folder.frames())
-    write_vtkhdf(folder.vtkhdf_path, mesh, frames, *fields)
+    write_vtkhdf(folder.path / name, mesh, frames, *sheet_fields(mesh, *folder.load_stiffness()))
+    return folder.path / name
+
+
+def film(folder: RunDirectory) -> Path | None:
+    """Path of a run's film. One that has not ended gets a film of its frames so far, under another name."""
+    if not folder.finished:
+        return export(folder, PARTIAL)
+    if FILM not in folder.manifest.files:
+        return None
+    folder.read(FILM)
+    return folder.path / FILM
 
 
 def _summary(
-    config: RunConfig, folder: RunDirectory, setup: Setup, solution: Solution, recorder: Recorder
+    config: RunConfig, folder: RunDirectory, setup: Setup, ending: Ending, recorder: Recorder
 ) -> dict[str, Any]:
-    state, counters = solution.state, solution.state.counters
+    state, counters = ending.state, ending.state.counters
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return {
         "scene": config.scene,
@@ -168,9 +270,9 @@ def _summary(
         "t_end": config.t_end,
         "t_reached": float(state.t),
         "rtol": config.solver.rtol,
-        "result": solution.result,
-        "message": solution.message,
-        "compile_s": solution.compile_s,
+        "result": ending.result,
+        "message": ending.message,
+        "compile_s": ending.compile_s,
         **recorder.totals(),
         # ru_maxrss is in kB on Linux and in bytes on macOS.
         "peak_memory_mb": peak / (2**20 if sys.platform == "darwin" else 2**10),
@@ -182,7 +284,7 @@ def _summary(
         "linear_iterations": int(counters.linear),
         "factors": int(counters.factors),
         "switches": int(counters.switches),
-        **physics(setup, state, folder.history.read(), folder.events.read()),
+        **physics(setup, state, folder.read_history(), folder.read_events()),
         "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
     }
 

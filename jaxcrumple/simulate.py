@@ -17,7 +17,7 @@ from jaxcrumple.programs import make_room
 from jaxcrumple.renewal import Renewal
 from jaxcrumple.replay.record import Record, Recorder
 from jaxcrumple.solvers.integrate import integrate
-from jaxcrumple.solvers.log import AFTER, BEFORE, Log, Row
+from jaxcrumple.solvers.log import AFTER, BEFORE, ENERGIES, EVENT_COLUMNS, Log, Row
 from jaxcrumple.solvers.scheme import Integrator, integrator
 from jaxcrumple.start import check_gap, check_start, pierced
 from jaxcrumple.state import CAUSES, EXPLICIT, IMPLICIT, QUASISTATIC, RESULTS, STAGES, State, check_state
@@ -34,7 +34,6 @@ TRAIL = 256
 MOST_WAITS = 100
 _integrate = eqx.filter_jit(integrate)
 
-ENERGIES = ("stretch", "bending", "contact", "confinement", "gravity", "extra", "kinetic")
 RESULT_NAMES = ("success", "budget", "collapsed", "blocked", "intersected", "nonfinite")
 
 
@@ -318,9 +317,7 @@ def events_table(rows: np.ndarray) -> pd.DataFrame:
             before = row
         elif row.kind == AFTER and before is not None:
             events.append(_event(before, row))
-    columns = ["t", "origin", "to", "acceleration_mean", "h"]
-    columns += [f"{name}_{side}" for side in ("before", "after") for name in ENERGIES]
-    return pd.DataFrame(events, columns=columns)
+    return pd.DataFrame(events, columns=list(EVENT_COLUMNS))
 
 
 def _event(before: Row, after: Row) -> dict:

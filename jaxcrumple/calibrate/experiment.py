@@ -7,19 +7,17 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.replay import Replay
 from jaxcrumple.simulate import checked_times
+from jaxcrumple.sketch import alike, sketch
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import State
 
 Values = dict[str, Any]
-# Relative difference to which numbers are the same, computed again or on another machine.
-SAME = 1e-9
 
 
 class Experiment(NamedTuple):
@@ -107,24 +105,12 @@ def difference(one: dict[str, Any], other: dict[str, Any]) -> str:
     """The first part in which fingerprints differ; empty where they are the same."""
     for name, (kind, numbers) in one.items():
         its_kind, its_numbers = other[name]
-        same = len(numbers) == len(its_numbers) and np.allclose(
-            numbers, its_numbers, rtol=SAME, atol=0.0, equal_nan=True
-        )
-        if not (same and kind == its_kind):
+        if not (alike(numbers, its_numbers) and kind == its_kind):
             return name
     return ""
 
 
 def _sketch(tree: Any) -> tuple[str, list[float]]:
-    """What kind of tree it is, and size, norm and a projection of each array in it."""
-    arrays, static = eqx.partition(tree, eqx.is_array)
-    found: list[float] = []
-    for leaf in jax.tree.leaves(arrays):
-        flat = np.nan_to_num(np.asarray(leaf, float).ravel(), nan=1e30, posinf=1e30, neginf=-1e30)
-        way = np.cos(np.arange(flat.size))
-        norm = float(np.linalg.norm(flat))
-        # The sum does not cancel, so that rounding is small beside it.
-        shadow = float(flat @ way) / max(float(np.linalg.norm(way)), 1e-30)
-        found += [float(flat.size), norm, 2.0 * norm + shadow]
-    kind = hashlib.sha256(eqx.tree_pformat(static).encode()).hexdigest()
-    return kind, found
+    """What kind of tree it is, and a sketch of its numbers."""
+    static = eqx.partition(tree, eqx.is_array)[1]
+    return hashlib.sha256(eqx.tree_pformat(static).encode()).hexdigest(), sketch(tree)

@@ -5,6 +5,7 @@ from jaxcrumple.io.checkpoint import CheckpointError, load_checkpoint, save_chec
 from jaxcrumple.io.frames import Frame
 from jaxcrumple.io.run import Run, load
 from jaxcrumple.io.rundir import Counts, RunDirectory
+from jaxcrumple.io.verify import verify_runs
 from jaxcrumple.io.vtkhdf import sheet_fields, write_vtkhdf
 
 __all__ = [
@@ -18,5 +19,6 @@ __all__ = [
     "load_checkpoint",
     "save_checkpoint",
     "sheet_fields",
+    "verify_runs",
     "write_vtkhdf",
 ]

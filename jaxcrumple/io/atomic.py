@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import io
 import json
+import math
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -56,7 +57,7 @@ def replacing(path: Path) -> Iterator[Path]:
         os.replace(beginning, path)
         _sync_folder(path.parent)
     except BaseException as error:
-        _remove(beginning)
+        discard(beginning)
         if isinstance(error, OSError):
             raise refusal(path, error) from error
         raise
@@ -68,28 +69,35 @@ def write_bytes(path: Path, data: bytes | memoryview) -> None:
         file.write(data)
 
 
-def write_json(path: Path, data: Mapping[str, Any]) -> None:
-    """Write `data`, which may hold NumPy numbers and arrays, as JSON, all or nothing."""
-    write_bytes(path, (to_json(data, indent=2) + "\n").encode())
-
-
-def write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write named arrays as one npz file, all or nothing."""
-    buffer = io.BytesIO()  # so that a full disk is met once, in one place
+def npz_bytes(arrays: Mapping[str, np.ndarray]) -> bytes:
+    """Contents of an npz file of named arrays."""
+    buffer = io.BytesIO()
     np.savez(buffer, **arrays)  # type: ignore[arg-type]
-    write_bytes(path, buffer.getvalue())
+    return buffer.getvalue()
 
 
 def to_json(data: Mapping[str, Any], indent: int | None = None) -> str:
-    """JSON text of `data`. **Raises:** TypeError for what has no JSON form."""
-    return json.dumps(data, indent=indent, default=_plain)
+    """JSON text of `data`; JSON has no numbers that are not finite, so these become null.
+
+    **Raises:** TypeError for what has no JSON form.
+    """
+    return json.dumps(_plain(data), indent=indent, allow_nan=False)
 
 
 def _plain(value: Any) -> Any:
+    """`value` in JSON types."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
     if hasattr(value, "tolist"):  # arrays and scalars of NumPy and JAX
-        return value.tolist()
+        return _plain(value.tolist())
     if isinstance(value, Path):
         return str(value)
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, str | int):
+        return value
     raise TypeError(
         f"{type(value).__name__} {value!r} has no JSON form; give numbers, strings, lists or dicts"
     )
@@ -111,7 +119,8 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def _remove(path: Path) -> None:
+def discard(path: Path) -> None:
+    """Remove a file that nobody needs, if it is there and can be removed."""
     try:
         path.unlink(missing_ok=True)
     except OSError:  # its folder is gone or no folder: nothing is left behind

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxcrumple.io.atomic import to_json, write_npz
+from jaxcrumple.io.atomic import npz_bytes, to_json, write_bytes
 
 FORMAT, VERSION = "jaxcrumple-checkpoint", 1
 _HEADER = "header"
@@ -49,6 +49,16 @@ def save_checkpoint(
     **Raises:** `RunDirectoryError` if the file cannot be written; the old one is intact then.
     `CheckpointError` for a leaf that no npz file can hold.
     """
+    write_bytes(Path(path), pack_checkpoint(state, metadata, fingerprint=fingerprint))
+
+
+def pack_checkpoint(
+    state: Any,
+    metadata: Mapping[str, Any] | None = None,
+    *,
+    fingerprint: Mapping[str, Any] | None = None,
+) -> bytes:
+    """Contents of a checkpoint's file, as `save_checkpoint` writes them."""
     leaves = _leaves(state)
     header = {
         "format": FORMAT,
@@ -58,7 +68,13 @@ def save_checkpoint(
         "leaves": {name: _describe(leaf) for name, leaf in leaves.items()},
     }
     arrays = {name: _to_numpy(name, leaf) for name, leaf in leaves.items()}
-    write_npz(Path(path), {_HEADER: np.array(to_json(header)), **arrays})
+    return npz_bytes({_HEADER: np.array(to_json(header)), **arrays})
+
+
+def read_metadata(path: str | Path) -> dict[str, Any]:
+    """Metadata of a checkpoint all of whose arrays are sound. **Raises:** `CheckpointError`."""
+    path = Path(path)
+    return _read_header(path, _read_members(path))["metadata"]
 
 
 def load_checkpoint(
@@ -175,8 +191,11 @@ def _read_header(path: Path, members: dict[str, bytes]) -> dict[str, Any]:
         header = json.loads(str(_array(path, members, _HEADER)))
     except json.JSONDecodeError as error:
         raise CheckpointError(foreign) from error
+    parts = ("fingerprint", "metadata", "leaves")
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise CheckpointError(foreign)
+    if not all(isinstance(header.get(part), dict) for part in parts):
+        raise CheckpointError(f"the header of {str(path)!r} is incomplete; {_RESTORE}")
     if header.get("version") != VERSION:
         raise CheckpointError(
             f"checkpoint {str(path)!r} has format version {header.get('version')}, this program reads "

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxcrumple.io.atomic import RunDirectoryError, write_npz
+from jaxcrumple.io.atomic import RunDirectoryError, npz_bytes
 from jaxcrumple.mesh import FloatArray, Mesh
 
 
@@ -23,44 +23,52 @@ class Frame(NamedTuple):
     p: FloatArray | None
 
 
-def save_frame(path: Path, frame: Frame) -> None:
-    """Write a frame. **Raises:** `RunDirectoryError`."""
+def pack_frame(frame: Frame) -> bytes:
+    """Contents of a frame's file."""
     arrays = {"t": np.asarray(frame.t), "x": np.asarray(frame.x), "v": np.asarray(frame.v)}
     if frame.p is not None:
         arrays["p"] = np.asarray(frame.p)
-    write_npz(path, arrays)
+    return npz_bytes(arrays)
 
 
-def load_frame(path: Path) -> Frame:
-    """Read a frame. **Raises:** `RunDirectoryError` if the file is missing, damaged or not a frame."""
-    arrays = _read_npz(path, ("t", "x", "v"))
+def unpack_frame(path: Path, data: bytes) -> Frame:
+    """The frame of a file's contents. **Raises:** `RunDirectoryError` if they are not those of a frame."""
+    arrays = _unpack(path, data, ("t", "x", "v"))
     return Frame(float(arrays["t"]), arrays["x"], arrays["v"], arrays.get("p"))
 
 
-def save_mesh(path: Path, mesh: Mesh) -> None:
-    """Write nodes, faces in order, rest positions and origin of a mesh, to the last bit."""
-    names = ("vertices", "faces", "source_nodes")
-    write_npz(path, {name: getattr(mesh, name) for name in names})
+#: Stiffness of the edges (e,) in N/m and of the hinges (h,) in J.
+Stiffness = tuple[FloatArray, FloatArray]
+_MESH, _STIFFNESS = ("vertices", "faces", "source_nodes"), ("stretch_stiffness", "bending_stiffness")
 
 
-def load_mesh(path: Path) -> Mesh:
-    """Read a mesh; every array equals that of the mesh that was saved. **Raises:** `RunDirectoryError`."""
-    arrays = _read_npz(path, ("vertices", "faces", "source_nodes"))
+def pack_mesh(mesh: Mesh, stiffness: Stiffness) -> bytes:
+    """Contents of a file of nodes, faces in order, rest positions and origin of a mesh, to the last bit, and
+    of the sheet's stiffness."""
+    arrays = {name: getattr(mesh, name) for name in _MESH}
+    return npz_bytes({**arrays, **dict(zip(_STIFFNESS, stiffness, strict=True))})
+
+
+def unpack_mesh(path: Path, data: bytes) -> tuple[Mesh, Stiffness]:
+    """Mesh and stiffness of a file's contents; every array equals what was saved.
+
+    **Raises:** `RunDirectoryError`.
+    """
+    arrays = _unpack(path, data, (*_MESH, *_STIFFNESS))
     source = arrays["source_nodes"]
     source.flags.writeable = False
-    return replace(Mesh.from_arrays(arrays["vertices"], arrays["faces"], reorder=False), source_nodes=source)
+    mesh = Mesh.from_arrays(arrays["vertices"], arrays["faces"], reorder=False)
+    stretch, bending = (arrays[name] for name in _STIFFNESS)
+    return replace(mesh, source_nodes=source), (stretch, bending)
 
 
-def _read_npz(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
-    cure = "delete it if the run can do without, or restore it from a copy"
+def _unpack(path: Path, data: bytes, names: tuple[str, ...]) -> dict[str, Any]:
     try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
+        with np.load(io.BytesIO(data), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-    except FileNotFoundError as error:
-        raise RunDirectoryError(f"{str(path)!r} does not exist; the run was not saved this far") from error
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, AttributeError) as error:
-        raise RunDirectoryError(f"{str(path)!r} is damaged ({error}); {cure}") from error
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, AttributeError, NotImplementedError) as error:
+        raise RunDirectoryError(f"{str(path)!r} is damaged ({error})") from error
     missing = [name for name in names if name not in arrays]
     if missing:
-        raise RunDirectoryError(f"{str(path)!r} has no {', '.join(missing)}; {cure}")
+        raise RunDirectoryError(f"{str(path)!r} has no {', '.join(missing)}")
     return arrays

@@ -13,6 +13,9 @@ from jaxcrumple.io.atomic import RunDirectoryError
 from jaxcrumple.io.rundir import RunDirectory
 from jaxcrumple.mesh import FloatArray, Mesh
 
+# Times that a folder is read again where it changed meanwhile.
+TRIES = 10
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run:
@@ -34,22 +37,35 @@ class Run:
 
     def __repr__(self) -> str:
         scene, result = self.config.get("scene"), self.summary.get("result", "unfinished")
-        frames, end = len(self.t), self.t[-1]
-        return f"Run({scene}, n = {self.mesh.n_nodes}, {frames} frames to t = {end:.4g} s, {result})"
+        shown = f"{len(self.t)} frames to t = {self.t[-1]:.4g} s" if len(self.t) else "no frames"
+        return f"Run({scene}, n = {self.mesh.n_nodes}, {shown}, {result})"
 
 
 def load(path: str | Path) -> Run:
-    """Read the output folder of a run, all frames into memory.
+    """Read the output folder of a run, all frames into memory; what is read is compared with its checksums.
+
+    A run that is still going is read as it was at its last checkpoint.
 
     **Raises:** `RunDirectoryError` if the folder is missing, is not a run, has no frames yet, or a file of it
-    is damaged.
+    is missing or damaged.
     """
-    folder = RunDirectory.open(path)
-    indices = folder.frames()
-    if not indices:
-        raise RunDirectoryError(f"run {str(path)!r} has no frames yet; wait for the first, or run it again")
+    for _ in range(TRIES):
+        folder = RunDirectory.open(path)
+        try:
+            return _read(folder)
+        except RunDirectoryError:
+            # Beside a run that goes back to a checkpoint, files that were named a moment ago are gone.
+            if RunDirectory.open(path).manifest == folder.manifest:
+                raise
+    raise RunDirectoryError(f"run {str(path)!r} is being written too fast to read it; try again")
+
+
+def _read(folder: RunDirectory) -> Run:
+    frames = folder.load_frames()
+    if not frames:
+        why = "ended before its first frame" if folder.finished else "has no frames yet; wait for the first"
+        raise RunDirectoryError(f"run {str(folder.path)!r} {why}")
     mesh = folder.load_mesh()
-    frames = [folder.load_frame(index) for index in indices]
     return Run(
         t=np.array([frame.t for frame in frames]),
         x=np.stack([frame.x for frame in frames]),
@@ -58,6 +74,6 @@ def load(path: str | Path) -> Run:
         mesh=mesh,
         config=folder.config,
         summary=folder.read_summary(),
-        history=folder.history.read(),
-        events=folder.events.read(),
+        history=folder.read_history(),
+        events=folder.read_events(),
     )

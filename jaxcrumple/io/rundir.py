@@ -1,16 +1,18 @@
 """The folder of one run.
 
-    run.json        what was asked for
+    run.json        what was asked for, and a sketch of what was built from it
+    manifest.json   which files and rows belong to the run, with their checksums
     mesh.npz        the sheet
-    frames/         one npz per saved state
+    frames/         one npz per saved state, listed in frames.csv
     history.csv     one line per logged step
-    events.csv      one line per event: switches, retries, ...
-    checkpoint.npz  where to go on
+    events.csv      one line per change of stage
+    checkpoints/    whole states to go on from: the last one, and a few earlier ones
     summary.json    how it ended; absent while the run is going and after a kill
     run.vtkhdf      the film for ParaView
 
-Every whole file is written all or nothing. Tables grow by appending, so a killed run may have rows and frames
-that its last checkpoint does not know; `RunDirectory.rewind` drops them before the run goes on.
+Every whole file is written all or nothing, and tables grow by appending. The manifest is replaced last: what
+it names is the run, what it does not name was cut off by a kill and is dropped when the run goes on. Whoever
+reads a file compares it with its checksum first.
 """
 
 from __future__ import annotations
@@ -18,30 +20,48 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxcrumple.io import frames as _frames
-from jaxcrumple.io.atomic import RunDirectoryError, refusal, temporary, write_json
-from jaxcrumple.io.frames import Frame
+from jaxcrumple.io.atomic import RunDirectoryError, discard, refusal, temporary, to_json, write_bytes
+from jaxcrumple.io.checkpoint import pack_checkpoint
+from jaxcrumple.io.frames import Frame, Stiffness, pack_frame, pack_mesh, unpack_frame, unpack_mesh
+from jaxcrumple.io.lock import LOCK
+from jaxcrumple.io.manifest import (
+    MANIFEST,
+    Entry,
+    Manifest,
+    entry_of,
+    read_manifest,
+    sealed,
+    unsealed,
+    write_manifest,
+)
 from jaxcrumple.io.table import Table
 from jaxcrumple.mesh import Mesh
-from jaxcrumple.solvers.log import Row
+from jaxcrumple.solvers.log import ENERGIES, EVENT_COLUMNS, Row
 from jaxcrumple.state import STAGES, Work
 
-FORMAT, VERSION = "jaxcrumple-run", 1
-_NUMBERS = {"t", "h", "acceleration", "acceleration_mean", "error"}
-_ENERGIES = {"stretch", "bending", "contact", "confinement", "gravity", "extra", "kinetic"}
+FORMAT, VERSION = "jaxcrumple-run", 2
+RUN, MESH, SUMMARY, FILM = "run.json", "mesh.npz", "summary.json", "run.vtkhdf"
+# The film of a run that has not ended: no part of the run.
+PARTIAL = "partial.vtkhdf"
+FRAMES, CHECKPOINTS = "frames", "checkpoints"
+# Two names in turn, so that the last checkpoint is whole while the next one is written.
+LATEST = (f"{CHECKPOINTS}/latest-0.npz", f"{CHECKPOINTS}/latest-1.npz")
+FRAME_COLUMNS = ("index", "t", "size", "sha256")
+_NUMBERS = {"t", "h", "acceleration", "acceleration_mean", "error", *ENERGIES}
 _WORK = {f"work_{name}" for name in Work._fields}
 #: Columns of the history that count something and are written without a decimal point.
-INTEGERS = frozenset(Row._fields) - _NUMBERS - _ENERGIES - _WORK - {"stage"}
+INTEGERS = frozenset(Row._fields) - _NUMBERS - _WORK - {"stage"}
 
 
 class Counts(NamedTuple):
-    """How much of a run is on disk. A checkpoint stores it and `RunDirectory.rewind` takes it back."""
+    """How much a run has written."""
 
     history_rows: int
     event_rows: int
@@ -49,29 +69,43 @@ class Counts(NamedTuple):
 
 
 class RunDirectory:
-    """One run's output folder. Make it with `create` or `open`."""
+    """One run's output folder. Make it with `create` or `open`; who writes holds its lock (`writing`)."""
 
-    def __init__(self, path: Path, config: dict[str, Any]) -> None:
-        self.path = path
-        self.config = config
-        self.history = Table(path / "history.csv")
-        self.events = Table(path / "events.csv")
+    def __init__(self, path: Path, contents: Mapping[str, Any], manifest: Manifest) -> None:
+        self.path, self.contents, self.manifest = path, contents, manifest
+        columns = {
+            "history.csv": tuple(Row._fields),
+            "events.csv": EVENT_COLUMNS,
+            "frames.csv": FRAME_COLUMNS,
+        }
+        self._tables = [Table(path / name, columns[name], prefix) for name, prefix in manifest.tables.items()]
+        self.history, self.events, self._frames = self._tables
 
     @classmethod
-    def create(cls, path: str | Path, config: Mapping[str, Any]) -> RunDirectory:
-        """Make the folder, and its parents, and write `config` (JSON types or NumPy) to `run.json`.
+    def create(
+        cls,
+        path: str | Path,
+        config: Mapping[str, Any],
+        mesh: Mesh,
+        stiffness: Stiffness,
+        built: Mapping[str, Any] | None = None,
+    ) -> RunDirectory:
+        """Begin a run in a folder that `check_free` accepts, which is made where it is missing.
 
-        **Raises:** `RunDirectoryError` if the path is a file, a folder that is not empty, or cannot be
-        written.
+        **Arguments:** `config`, `built`: JSON types or NumPy, kept in `run.json`; `stiffness`: of the edges
+        (e,) in N/m and of the hinges (h,) in J.
+
+        **Raises:** `RunDirectoryError` if the folder is taken or cannot be written.
         """
-        path = Path(path)
+        path = make_folder(path)
         cls.check_free(path)
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise refusal(path, error) from error
-        write_json(path / "run.json", {"format": FORMAT, "version": VERSION, "config": dict(config)})
-        return cls(path, _read_config(path))
+        contents = json.loads(to_json({"config": config, "built": built or {}}))
+        begun = {RUN: sealed(contents, FORMAT, VERSION), MESH: pack_mesh(mesh, stiffness)}
+        entries = {name: _write(path / name, data) for name, data in begun.items()}
+        folder = cls(path, contents, Manifest(entries))
+        write_manifest(path, folder.manifest)
+        folder.cut()
+        return folder
 
     @staticmethod
     def check_free(path: str | Path) -> None:
@@ -84,163 +118,264 @@ class RunDirectory:
         try:
             if path.exists() and not path.is_dir():
                 raise RunDirectoryError(f"{str(path)!r} is a file; choose a new folder for the output")
-            # A kill while run.json was written leaves the beginning of it, which the next one replaces.
-            occupied = path.is_dir() and any(
-                entry != temporary(path / "run.json") for entry in path.iterdir()
-            )
+            # A kill before the first manifest leaves the beginnings of these, which are replaced.
+            begun = {LOCK, RUN, MESH, *(temporary(Path(name)).name for name in (RUN, MESH, MANIFEST))}
+            occupied = path.is_dir() and any(entry.name not in begun for entry in path.iterdir())
         except OSError as error:
             raise refusal(path, error) from error
         if occupied:
-            what = "holds a run already; resume it, or" if (path / "run.json").is_file() else "is not empty;"
+            what = "holds a run already; resume it, or" if is_run(path) else "is not empty;"
             raise RunDirectoryError(f"folder {str(path)!r} {what} choose a new folder for the output")
         nearest = next((folder for folder in (path, *path.absolute().parents) if folder.exists()), path)
         if not os.access(nearest, os.W_OK):
-            raise RunDirectoryError(f"folder {str(nearest)!r} may not be written; choose another place")
+            raise RunDirectoryError(f"cannot write into folder {str(nearest)!r}; choose another place")
 
     @classmethod
     def open(cls, path: str | Path) -> RunDirectory:
         """The folder of an earlier run, to read it or go on. Nothing is changed.
 
-        **Raises:** `RunDirectoryError` if it does not exist, is not a run, or is of another version.
+        **Raises:** `RunDirectoryError` if it does not exist, is not a run, is of another version, or if its
+        manifest or `run.json` is damaged.
         """
         path = Path(path)
         if not path.is_dir():
             what = "is a file" if path.exists() else "does not exist"
             raise RunDirectoryError(f"{str(path)!r} {what}; give the output folder of a run")
-        return cls(path, _read_config(path))
+        if not is_run(path):
+            inner = sorted(entry.parent.name for entry in path.glob(f"*/{MANIFEST}"))
+            what = (
+                f"it holds runs; give one of them, such as {inner[0]!r}" if inner else "give a run's folder"
+            )
+            raise RunDirectoryError(f"folder {str(path)!r} is not a run: it has no {MANIFEST}; {what}")
+        try:
+            manifest = read_manifest(path)
+            return cls(path, read_contents(path, checked(path, RUN, manifest.files.get(RUN))), manifest)
+        except RunDirectoryError as error:
+            raise RunDirectoryError(f"{error}; {cure(path)}") from error
 
     @property
-    def checkpoint_path(self) -> Path:
-        """Where the checkpoint belongs."""
-        return self.path / "checkpoint.npz"
+    def config(self) -> dict[str, Any]:
+        """What was asked for."""
+        return self.contents["config"]
 
     @property
-    def vtkhdf_path(self) -> Path:
-        """Where the film belongs."""
-        return self.path / "run.vtkhdf"
+    def built(self) -> dict[str, Any]:
+        """A sketch of what was built from it."""
+        return self.contents["built"]
 
     @property
     def counts(self) -> Counts:
-        """Rows and frames on disk; put it into the metadata of the checkpoint (`counts._asdict()`)."""
-        return Counts(self.history.count, self.events.count, len(self.frames()))
+        """Rows and frames that belong to the run."""
+        return Counts(self.history.count, self.events.count, self._frames.count)
 
-    def save_mesh(self, mesh: Mesh) -> None:
-        """Write the mesh with its rest shape."""
-        _frames.save_mesh(self.path / "mesh.npz", mesh)
+    def frames(self) -> range:
+        """Numbers of the saved frames."""
+        return range(self._frames.count)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run came to an end."""
+        return SUMMARY in self.manifest.files
+
+    # Reading. What is damaged is refused, with the cure.
 
     def load_mesh(self) -> Mesh:
         """The mesh as it was saved, bit for bit."""
-        return _frames.load_mesh(self.path / "mesh.npz")
+        return unpack_mesh(self.path / MESH, self.read(MESH))[0]
 
-    def save_frame(self, index: int, t: float, x: ArrayLike, v: ArrayLike, p: ArrayLike | None) -> None:
-        """Write frame `index`, counted from 0 without gaps.
+    def load_stiffness(self) -> Stiffness:
+        """Stiffness of the edges (e,) in N/m and of the hinges (h,) in J."""
+        return unpack_mesh(self.path / MESH, self.read(MESH))[1]
 
-        `t` in s; `x`, `v` (n, 3) in m and m/s; `p` (h,), or None if elastic.
-        """
-        path = self._frame(index)
-        try:
-            path.parent.mkdir(exist_ok=True)
-        except OSError as error:
-            raise refusal(path, error) from error
-        rest = None if p is None else np.asarray(p)
-        _frames.save_frame(path, Frame(float(t), np.asarray(x), np.asarray(v), rest))
+    def load_frames(self) -> list[Frame]:
+        """All frames."""
+        table = self.table(self._frames)
+        rows = zip(table["index"], table["size"], table["sha256"], strict=True)
+        names = [(frame_name(index), Entry(size, str(sha))) for index, size, sha in rows]
+        return [unpack_frame(self.path / name, self.read(name, entry)) for name, entry in names]
 
-    def load_frame(self, index: int) -> Frame:
-        """Frame number `index`."""
-        return _frames.load_frame(self._frame(index))
+    def read_history(self) -> Any:
+        """The history as a table."""
+        return self.table(self.history)
 
-    def frames(self) -> list[int]:
-        """Numbers of the saved frames, ascending."""
-        return sorted(int(path.stem) for path in self.path.glob("frames/[0-9]*.npz"))
-
-    def append_history(self, columns: Sequence[str], rows: ArrayLike) -> None:
-        """Add rows (r, columns) to the history. Stages may be numbers or words, and are written as words."""
-        values = np.asarray(rows, dtype=object).reshape(-1, len(columns))
-        self.history.append(
-            columns, [[_entry(c, v) for c, v in zip(columns, row, strict=True)] for row in values]
-        )
-
-    def append_events(self, events: Sequence[Mapping[str, Any]], columns: Sequence[str] = ()) -> None:
-        """Add events. Keys are columns; new ones are added at the right, missing ones stay empty.
-
-        `columns` that are known beforehand make a header, even where there is no event. By convention
-        `t` is the time in s, and a change of stage has the stages `from` and `to` in words.
-        """
-        known = self.events.columns
-        columns = list(dict.fromkeys([*known, *columns, *(key for event in events for key in event)]))
-        if columns != known:
-            self.events.extend_columns(columns)
-        self.events.append(columns, [[event.get(c) for c in columns] for event in events])
-
-    def rewind(self, history_rows: int, event_rows: int, frames: int) -> None:
-        """Cut the run back to what its checkpoint knows: `rewind(*counts)` or `rewind(**counts)`.
-
-        The summary, which a run that goes on makes untrue, is removed as well.
-
-        **Raises:** `RunDirectoryError` if something that the checkpoint knows is missing; nothing is cut
-        then.
-        """
-        saved = self.frames()
-        if saved[:frames] != list(range(frames)):
-            raise RunDirectoryError(
-                f"{str(self.path)!r} lacks some of the frames 0..{frames - 1} that the checkpoint knows; "
-                "restore them, or start the run again in a new folder"
-            )
-        for table, count in ((self.history, history_rows), (self.events, event_rows)):
-            table.require(count)
-        try:
-            (self.path / "summary.json").unlink(missing_ok=True)
-            for index in saved[frames:]:
-                self._frame(index).unlink()
-            for leftover in (*self.path.glob(".*.tmp"), *self.path.glob("frames/.*.tmp")):
-                leftover.unlink()
-        except OSError as error:
-            raise refusal(self.path, error) from error
-        self.history.truncate(history_rows)
-        self.events.truncate(event_rows)
-
-    def write_summary(self, summary: Mapping[str, Any]) -> None:
-        """Write how the run ended."""
-        write_json(self.path / "summary.json", summary)
+    def read_events(self) -> Any:
+        """The events as a table."""
+        return self.table(self.events)
 
     def read_summary(self) -> dict[str, Any]:
         """How the run ended; empty if it has not, or was killed."""
-        path = self.path / "summary.json"
-        return _read_json(path, "remove it, and resume the run to write it again") if path.is_file() else {}
+        return json.loads(self.read(SUMMARY)) if self.finished else {}
 
-    def _frame(self, index: int) -> Path:
-        return self.path / "frames" / f"{index:05d}.npz"
+    def read(self, name: str, entry: Entry | None = None) -> bytes:
+        """Contents of a file that belongs to the run. **Raises:** `RunDirectoryError`."""
+        try:
+            return checked(self.path, name, entry or self.manifest.files.get(name))
+        except RunDirectoryError as error:
+            raise RunDirectoryError(f"{error}; {cure(self.path)}") from error
+
+    def table(self, table: Table) -> Any:
+        """A table as it was written. **Raises:** `RunDirectoryError`."""
+        try:
+            return table.read()
+        except RunDirectoryError as error:
+            raise RunDirectoryError(f"{error}; {cure(self.path)}") from error
+
+    # Writing. Nothing belongs to the run before `commit` or `finish`.
+
+    def save_frame(self, t: float, x: ArrayLike, v: ArrayLike, p: ArrayLike | None) -> None:
+        """Write the next frame.
+
+        `t` in s; `x`, `v` (n, 3) in m and m/s; `p` (h,), or None if elastic.
+        """
+        index = self._frames.count
+        rest = None if p is None else np.asarray(p)
+        data = pack_frame(Frame(float(t), np.asarray(x), np.asarray(v), rest))
+        entry = _write(self.path / frame_name(index), data)
+        self._frames.append([[index, float(t), *entry]])
+
+    def append_history(self, rows: ArrayLike) -> None:
+        """Add rows (r, columns) to the history. Stages may be numbers or words, and are written as words."""
+        names = self.history.columns
+        values = np.asarray(rows, dtype=object).reshape(-1, len(names))
+        self.history.append([[_entry(c, v) for c, v in zip(names, row, strict=True)] for row in values])
+
+    def append_events(self, events: Sequence[Mapping[str, Any]]) -> None:
+        """Add changes of stage."""
+        self.events.append([[event.get(c) for c in EVENT_COLUMNS] for event in events])
+
+    def commit(self, state: Any, metadata: Mapping[str, Any], *, keep: bool = False) -> None:
+        """Write a checkpoint, and make it and all rows and frames so far part of the run.
+
+        `keep`: also when later ones follow, so that the run can go back to it where something is damaged.
+        """
+        last = self.manifest.checkpoint
+        name = f"{CHECKPOINTS}/frame-{self._frames.count:05d}.npz" if keep else LATEST[last == LATEST[0]]
+        tables = {table.path.name: table.prefix for table in self._tables}
+        manifest = replace(self.manifest, tables=tables)
+        outside = replace(
+            manifest.without(*(other for other in manifest.files if other.startswith(CHECKPOINTS))),
+            checkpoint=None,
+        )
+        held = {**metadata, "manifest": outside.plain(), "run": self.contents}
+        entry = _write(self.path / name, pack_checkpoint(state, held))
+        passed = [other for other in LATEST if other != name]
+        self._set(replace(manifest.without(*passed), checkpoint=name).with_files({name: entry}))
+        for other in passed:
+            discard(self.path / other)
+
+    def finish(self, summary: Mapping[str, Any]) -> None:
+        """Write how the run ended, and make that and the film, if there is one, part of the run."""
+        film = self.path / FILM
+        ending = {FILM: entry_of(film.read_bytes())} if film.exists() else {}
+        ending[SUMMARY] = _write(self.path / SUMMARY, (to_json(summary, indent=2) + "\n").encode())
+        self._set(self.manifest.with_files(ending))
+        discard(self.path / PARTIAL)
+
+    def cut(self) -> None:
+        """Remove what does not belong to the run: what a kill cut off, and the ending of one that goes on.
+
+        **Raises:** `RunDirectoryError` if a table is damaged or something cannot be removed.
+        """
+        self._drop_ending()
+        for table in self._tables:
+            table.cut()
+        named = {frame_name(index) for index in self.frames()} | set(self.manifest.files)
+        try:
+            for path in (*self.path.glob(f"{FRAMES}/*"), *self.path.glob(f"{CHECKPOINTS}/*")):
+                if path.relative_to(self.path).as_posix() not in named:
+                    path.unlink()
+            for leftover in self.path.glob(".*.tmp"):
+                leftover.unlink()
+        except OSError as error:
+            raise refusal(self.path, error) from error
+
+    def clear(self) -> None:
+        """Remove all files of the run but `run.json`."""
+        files = [MANIFEST, MESH, SUMMARY, FILM, PARTIAL, *(table.path.name for table in self._tables)]
+        try:
+            for path in (*(self.path / name for name in files), *self.path.glob(f"{FRAMES}/*")):
+                path.unlink(missing_ok=True)
+            for path in self.path.glob(f"{CHECKPOINTS}/*"):
+                path.unlink()
+        except OSError as error:
+            raise refusal(self.path, error) from error
+
+    def _drop_ending(self) -> None:
+        """Take back the summary and the film, which a run that goes on makes untrue."""
+        if self.finished or FILM in self.manifest.files:
+            self._set(self.manifest.without(SUMMARY, FILM))
+        try:
+            for name in (SUMMARY, FILM):
+                (self.path / name).unlink(missing_ok=True)
+        except OSError as error:
+            raise refusal(self.path, error) from error
+
+    def _set(self, manifest: Manifest) -> None:
+        write_manifest(self.path, manifest)
+        self.manifest = manifest
+
+
+def is_run(path: Path) -> bool:
+    """Whether a folder holds a run, or what is left of one."""
+    return (path / MANIFEST).exists() or (path / CHECKPOINTS).is_dir()
+
+
+def make_folder(path: str | Path) -> Path:
+    """The folder of a run to come, made with its parents. **Raises:** `RunDirectoryError`."""
+    path = Path(path)
+    RunDirectory.check_free(path)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise refusal(path, error) from error
+    return path
+
+
+def frame_name(index: int) -> str:
+    """Name of a frame's file in the folder of its run."""
+    return f"{FRAMES}/{index:05d}.npz"
+
+
+def read_contents(path: Path, data: bytes) -> dict[str, Any]:
+    """Contents of the `run.json` of a folder. **Raises:** `RunDirectoryError`."""
+    try:
+        return unsealed(data, FORMAT, VERSION)
+    except ValueError as error:
+        raise RunDirectoryError(f"{str(path / RUN)!r} cannot be read: {error}") from error
+
+
+def checked(folder: Path, name: str, entry: Entry | None) -> bytes:
+    """Contents of a file that a manifest names. **Raises:** `RunDirectoryError` if they are others."""
+    path = folder / name
+    if entry is None:
+        raise RunDirectoryError(f"{str(path)!r} is not part of the run: it was not saved this far")
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError as error:
+        raise RunDirectoryError(f"{str(path)!r} does not exist, but the run wrote it") from error
+    except OSError as error:
+        raise RunDirectoryError(f"{str(path)!r} cannot be read: {error.strerror}") from error
+    if entry_of(data) != entry:
+        raise RunDirectoryError(f"{str(path)!r} is damaged: its checksum is not what the run wrote")
+    return data
+
+
+def cure(path: Path) -> str:
+    """What to do about a damaged folder."""
+    return f"restore it from a copy, or go back to what is sound: jaxcrumple repair {path}"
+
+
+def _write(path: Path, data: bytes) -> Entry:
+    """Write a whole file, and its folder if need be; its entry in the manifest."""
+    try:
+        path.parent.mkdir(exist_ok=True)
+    except OSError as error:
+        raise refusal(path, error) from error
+    write_bytes(path, data)
+    return entry_of(data)
 
 
 def _entry(column: str, value: Any) -> float | int | str:
     if column == "stage":
         return value if isinstance(value, str) else STAGES[int(value)]
     return int(value) if column in INTEGERS and np.isfinite(value) else float(value)
-
-
-def _read_config(path: Path) -> dict[str, Any]:
-    file = path / "run.json"
-    if not file.is_file():
-        inner = sorted(entry.parent.name for entry in path.glob("*/run.json"))
-        cure = f"it holds runs; give one of them, such as {inner[0]!r}" if inner else "give a run's folder"
-        raise RunDirectoryError(f"folder {str(path)!r} is not a run: it has no run.json; {cure}")
-    data = _read_json(file)
-    if data.get("format") != FORMAT or not isinstance(data.get("config"), dict):
-        raise RunDirectoryError(f"{str(file)!r} is not of this program; give the output folder of a run")
-    if data.get("version") != VERSION:
-        found = data.get("version")
-        raise RunDirectoryError(
-            f"{str(path)!r} is a run of format version {found}, this program reads {VERSION}; "
-            "use the version of jaxcrumple that made it"
-        )
-    return data["config"]
-
-
-def _read_json(path: Path, cure: str = "restore it from a copy") -> dict[str, Any]:
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise RunDirectoryError(f"cannot read {str(path)!r} ({error}); {cure}") from error
-    if not isinstance(data, dict):
-        raise RunDirectoryError(f"{str(path)!r} holds no JSON object; {cure}")
-    return data

@@ -1,8 +1,9 @@
-"""A CSV file that grows by whole rows and can be cut back to a known number of them."""
+"""A CSV file that grows by whole rows, of which a known part belongs to the run."""
 
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import os
 from collections.abc import Iterable, Sequence
@@ -12,91 +13,109 @@ from typing import Any
 
 import pandas as pd
 
-from jaxcrumple.io.atomic import RunDirectoryError, refusal, write_bytes
+from jaxcrumple.io.atomic import RunDirectoryError, refusal
+from jaxcrumple.io.manifest import EMPTY, Prefix
 
 
 class Table:
-    """Rows at `path` under one header line. A last line cut short by a kill does not count as a row.
+    """Rows at `path` under one header line, up to the end of `prefix`. What follows there does not count.
 
     No cell holds a line break, so a row is a line.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.count = max(len(self._lines()) - 1, 0)
+    def __init__(self, path: Path, columns: Sequence[str], prefix: Prefix = EMPTY) -> None:
+        self.path, self.columns, self._prefix = path, list(columns), prefix
+        self._hash: Any = None  # of the bytes so far, known once they were read or written
 
     @property
-    def columns(self) -> list[str]:
-        """Names of the columns; empty before the first row."""
-        if not self.path.is_file():
-            return []
-        with self.path.open(encoding="utf-8", newline="") as file:
-            line = file.readline()
-        return next(csv.reader([line])) if line.endswith("\n") else []
+    def prefix(self) -> Prefix:
+        """What belongs to the run, for the manifest."""
+        return self._prefix
 
-    def append(self, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-        """Add `rows`; numbers keep all their digits.
+    @property
+    def count(self) -> int:
+        """Number of rows."""
+        return self._prefix.rows
 
-        **Raises:** ValueError for other columns than before; `RunDirectoryError` if the file cannot be
-        written, and then none of the rows is.
+    def append(self, rows: Iterable[Sequence[Any]]) -> None:
+        """Add `rows`, below a header if there is none; numbers keep all their digits.
+
+        **Raises:** `RunDirectoryError` if the file cannot be written, and then none of the rows is, or if
+        what was there is damaged.
         """
-        known = self.columns
-        if known and known != list(columns):
-            raise ValueError(f"{self.path.name} has the columns {known}, not {list(columns)}; keep them")
         lines = _csv(rows)
         count = lines.count(b"\n")
-        if count == 0:
+        if self._prefix.size == 0:
+            lines = _csv([self.columns]) + lines
+        if not lines:
             return
-        self._write(lines if known else _csv([columns]) + lines)
-        self.count += count
+        running = self._checksum().copy()
+        self._write(lines)
+        running.update(lines)
+        size, before, _ = self._prefix
+        self._hash = running
+        self._prefix = Prefix(size + len(lines), before + count, running.hexdigest())
 
-    def extend_columns(self, columns: Sequence[str]) -> None:
-        """Rewrite the file with further columns at the right, empty in the rows so far."""
-        added = len(columns) - len(self.columns)
-        rows = list(csv.reader(self._text().splitlines()))[1:]
-        write_bytes(self.path, _csv([columns, *([*row, *[""] * added] for row in rows)]))
+    def check(self) -> None:
+        """**Raises:** `RunDirectoryError` if the file lacks a part that belongs to it, or holds another."""
+        self._data()
 
-    def require(self, count: int) -> None:
-        """**Raises:** `RunDirectoryError` if there are fewer than `count` rows."""
-        if self.count < count:
-            raise RunDirectoryError(
-                f"{str(self.path)!r} has {self.count} rows but the checkpoint knows {count}; "
-                "restore the file, or start the run again in a new folder"
-            )
-
-    def truncate(self, count: int) -> None:
-        """Keep the first `count` rows. **Raises:** `RunDirectoryError` if there are fewer."""
-        self.require(count)
-        if count == 0:
-            self._delete()
-        else:
-            write_bytes(self.path, b"".join(self._lines()[: count + 1]))
-        self.count = count
-
-    def read(self) -> pd.DataFrame:
-        """All complete rows, every number as it was written; an empty frame before the first."""
-        names, *rows = list(csv.reader(self._text().splitlines())) or [[]]
-        cells = zip(*rows, strict=True) if rows else [()] * len(names)
-        return pd.DataFrame({name: _typed(column) for name, column in zip(names, cells, strict=True)})
-
-    def _text(self) -> str:
-        return b"".join(self._lines()).decode()
-
-    def _lines(self) -> list[bytes]:
-        data = self.path.read_bytes() if self.path.is_file() else b""
-        return data[: data.rfind(b"\n") + 1].splitlines(keepends=True)
-
-    def _delete(self) -> None:
+    def cut(self) -> None:
+        """Remove what does not belong to the run. **Raises:** as `check`."""
+        self._data()
         try:
-            self.path.unlink(missing_ok=True)
+            if self._prefix.size == 0:
+                self.path.unlink(missing_ok=True)
+            elif self.path.stat().st_size > self._prefix.size:
+                with self.path.open("rb+") as file:
+                    file.truncate(self._prefix.size)
+                    os.fsync(file.fileno())
         except OSError as error:
             raise refusal(self.path, error) from error
 
+    def read(self) -> pd.DataFrame:
+        """All rows, every number as it was written. **Raises:** as `check`."""
+        names, *rows = list(csv.reader(self._data().decode().splitlines())) or [self.columns]
+        cells = zip(*rows, strict=True) if rows else [()] * len(names)
+        return pd.DataFrame({name: _typed(column) for name, column in zip(names, cells, strict=True)})
+
+    def _data(self) -> bytes:
+        """The bytes that belong to the run, compared with their checksum."""
+        size, rows, sha256 = self._prefix
+        if size == 0:
+            return b""
+        try:
+            with self.path.open("rb") as file:
+                data = file.read(size)
+        except FileNotFoundError as error:
+            raise RunDirectoryError(f"{str(self.path)!r} does not exist, but the run wrote it") from error
+        except OSError as error:
+            raise RunDirectoryError(f"{str(self.path)!r} cannot be read: {error.strerror}") from error
+        if len(data) < size:
+            raise RunDirectoryError(
+                f"{str(self.path)!r} is cut short: of {size} bytes ({rows} rows) that the run wrote, "
+                f"{len(data)} are left"
+            )
+        running = hashlib.sha256(data)
+        if running.hexdigest() != sha256:
+            raise RunDirectoryError(f"{str(self.path)!r} is damaged: its checksum is not what the run wrote")
+        self._hash = running
+        return data
+
+    def _checksum(self) -> Any:
+        if self._hash is None:
+            self._hash = hashlib.sha256(self._data())
+        return self._hash
+
     def _write(self, data: bytes) -> None:
-        """Append `data` durably, or leave the file as it was."""
+        """Write `data` durably behind what belongs to the run, or leave the file as it was."""
+        size = self._prefix.size
         try:
             with self.path.open("ab", buffering=0) as file:
-                size = _complete_size(self.path, file.tell())
+                if file.tell() < size:
+                    raise RunDirectoryError(
+                        f"{str(self.path)!r} was cut short while the run wrote to it; restore it from a copy"
+                    )
                 file.truncate(size)
                 try:
                     left = memoryview(data)
@@ -108,17 +127,6 @@ class Table:
                     raise
         except OSError as error:
             raise refusal(self.path, error) from error
-
-
-def _complete_size(path: Path, size: int) -> int:
-    """Bytes up to the last line break; reads the whole file only if its last line is cut."""
-    if size == 0:
-        return 0
-    with path.open("rb") as file:
-        file.seek(size - 1)
-        if file.read(1) == b"\n":
-            return size
-    return path.read_bytes().rfind(b"\n") + 1
 
 
 def _typed(cells: Sequence[str]) -> list[int] | list[float] | list[str | None]:

@@ -7,6 +7,12 @@ from jax import Array
 
 # Kinds of rows: an accepted step, the last state of a stage, the first state of the next.
 STEP, BEFORE, AFTER = 0, 1, 2
+ENERGIES = ("stretch", "bending", "contact", "confinement", "gravity", "extra", "kinetic")
+# Columns of `events.csv`: a change of stage, with energies in J before and after it.
+EVENT_COLUMNS = (
+    "t", "origin", "to", "acceleration_mean", "h",
+    *(f"{name}_{side}" for side in ("before", "after") for name in ENERGIES),
+)  # fmt: skip
 
 
 class Row(NamedTuple):

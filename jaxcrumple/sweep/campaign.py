@@ -1,16 +1,18 @@
 """Long campaigns: many runs, each in a folder of its own, of which only what is missing is done."""
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 from distributed import Client
-from filelock import FileLock
 
 from jaxcrumple.config import ConfigError, RunConfig
-from jaxcrumple.io import RunDirectory
+from jaxcrumple.io import RunDirectory, RunDirectoryError
 from jaxcrumple.io.atomic import refusal, write_bytes
+from jaxcrumple.io.lock import writing
+from jaxcrumple.io.rundir import is_run
 from jaxcrumple.run import resume_run, start_run, stored_config
 from jaxcrumple.sweep.cases import blamed
 from jaxcrumple.sweep.cluster import Cluster, connected, run_all
@@ -43,7 +45,7 @@ def campaign(
     """
     place = Path(folder).absolute()
     _check_runs(runs, place)
-    summaries = {name: _summary(place / name) for name in runs}
+    summaries = {name: _readable_summary(place / name) for name in runs}
     for name, summary in summaries.items():
         if summary:
             tell(name, summary["result"])
@@ -54,7 +56,7 @@ def campaign(
                 summaries[name] = summary
                 tell(name, summary["result"])
     others = {path.parent.name: path.parent for path in sorted(place.glob("*/summary.json"))}
-    earlier = {name: _summary(path) for name, path in others.items() if name not in runs}
+    earlier = {name: _readable_summary(path) for name, path in others.items() if name not in runs}
     write_bytes(place / TABLE, _table({**summaries, **earlier}).to_csv().encode())
     return _table(summaries)
 
@@ -81,7 +83,9 @@ def _check_runs(runs: Mapping[str, RunConfig], place: Path) -> None:
     except OSError as error:
         raise refusal(place, error) from error
     for name, config in runs.items():
-        _check_same(name, config, place / name)
+        # A damaged folder stops its own run alone, with its message in the table.
+        with suppress(RunDirectoryError):
+            _check_same(name, config, place / name)
 
 
 def _done(client: Client, runs: Mapping[str, RunConfig], place: Path) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -100,10 +104,9 @@ def run_missing(config: RunConfig, folder: Path) -> dict[str, Any]:
 
     Whoever else is at it is waited for.
     """
-    locks = folder.parent / ".locks"
-    locks.mkdir(exist_ok=True)
-    with FileLock(locks / folder.name):
-        if not (folder / "run.json").exists():
+    folder.mkdir(exist_ok=True)
+    with writing(folder, wait=True):
+        if not is_run(folder):
             return start_run(config, folder)
         _check_same(folder.name, config, folder)
         return _summary(folder) or resume_run(folder)
@@ -111,11 +114,19 @@ def run_missing(config: RunConfig, folder: Path) -> dict[str, Any]:
 
 def _summary(folder: Path) -> dict[str, Any]:
     """How a run ended; empty where it has not."""
-    return RunDirectory.open(folder).read_summary() if (folder / "run.json").exists() else {}
+    return RunDirectory.open(folder).read_summary() if is_run(folder) else {}
+
+
+def _readable_summary(folder: Path) -> dict[str, Any]:
+    """How a run ended; empty where it has not, or where its folder is damaged."""
+    try:
+        return _summary(folder)
+    except RunDirectoryError:
+        return {}
 
 
 def _check_same(name: str, config: RunConfig, folder: Path) -> None:
-    if not (folder / "run.json").exists():
+    if not is_run(folder):
         RunDirectory.check_free(folder)
         return
     stored = stored_config(RunDirectory.open(folder))
