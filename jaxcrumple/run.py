@@ -249,13 +249,18 @@ def export(folder: RunDirectory, name: str = FILM) -> Path | None:
 
 
 def film(folder: RunDirectory) -> Path | None:
-    """Path of a run's film. One that has not ended gets a film of its frames so far, under another name."""
+    """Path of a run's film, which is written again where it is missing or damaged; None without frames.
+
+    One that has not ended gets a film of its frames so far, under another name.
+    """
     if not folder.finished:
         return export(folder, PARTIAL)
-    if FILM not in folder.manifest.files:
-        return None
-    folder.read(FILM)
-    return folder.path / FILM
+    if folder.is_sound(FILM):
+        return folder.path / FILM
+    with writing(folder.path):
+        path = export(folder)
+        folder.add_film()
+    return path
 
 
 def _summary(

@@ -3,10 +3,12 @@
 import importlib.metadata
 import json
 import os
+import re
 import runpy
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ import pytest
 import jaxcrumple
 from jaxcrumple import cli
 from jaxcrumple.config import configure
-from jaxcrumple.io import CheckpointError, RunDirectory, RunDirectoryError
+from jaxcrumple.io import RunDirectory, RunDirectoryError
 from jaxcrumple.run import resume_run, start_run
 
 SETTINGS = ["frames=2", "contact=none", "scheme=alternating", "rtol=1e-4", "sweeps=5", "drag_rate=2300"]
@@ -84,7 +86,9 @@ def test_every_file_is_there(finished):
         "frames",
         "history.csv",
         "events.csv",
-        "checkpoint.npz",
+        "frames.csv",
+        "checkpoints",
+        "manifest.json",
         "summary.json",
     }
     assert expected | {"run.vtkhdf"} <= names
@@ -235,10 +239,12 @@ def test_folders_that_cannot_be_written_are_refused(refused, tmp_path):
 
 
 def test_no_results_of_a_run_that_is_none(refused, tmp_path):
-    assert "has no run.json; give a run's folder" in refused("plot", tmp_path)
+    assert "has no manifest.json; give a run's folder" in refused("plot", tmp_path)
     assert "does not exist" in refused("plot", tmp_path / "none")
-    (tmp_path / "run.json").write_text('{"format": "other"}')
-    assert "is not of this program" in refused("run", "radial", "--resume", "--out", tmp_path)
+    (tmp_path / "manifest.json").write_text('{"format": "other"}')
+    message = refused("run", "radial", "--resume", "--out", tmp_path)
+    assert "is not of the format 'jaxcrumple-manifest'" in message
+    assert "nothing in" in refused("repair", tmp_path)
 
 
 def test_resuming_with_other_options_is_refused(refused, finished):
@@ -253,31 +259,79 @@ def test_resuming_with_other_options_is_refused(refused, finished):
     assert contents(folder) == before
 
 
+def current_checkpoint(folder):
+    return folder / RunDirectory.open(folder).manifest.checkpoint
+
+
 def test_checkpoints_that_are_no_good_are_refused(refused, copy):
-    checkpoint = copy / "checkpoint.npz"
+    checkpoint = current_checkpoint(copy)
     whole = checkpoint.read_bytes()
     middle = len(whole) // 2
-    damaged = {
-        "is truncated or damaged": whole[:middle],
-        "damaged": whole[:middle] + bytes([whole[middle] ^ 255]) + whole[middle + 1 :],
-        "is empty, so it is no checkpoint": b"",
-        "is not an npz file, so it is no checkpoint": b"something else",
-        "no checkpoint of jaxcrumple": (copy / "mesh.npz").read_bytes(),
-    }
-    for message, data in damaged.items():
+    flipped = whole[:middle] + bytes([whole[middle] ^ 255]) + whole[middle + 1 :]
+    for data in (whole[:middle], flipped, b"", b"something else", (copy / "mesh.npz").read_bytes()):
         checkpoint.write_bytes(data)
         before = contents(copy)
         text = refused("run", "radial", "--resume", "--out", copy)
-        assert message in text
+        assert f"{checkpoint.name}' is damaged" in text
+        assert f"go back to what is sound: jaxcrumple repair {copy}" in text
         assert contents(copy) == before
 
 
-def test_checkpoint_of_another_run_is_refused(copy):
-    settings = json.loads((copy / "run.json").read_text())
-    settings["config"]["material"]["thickness"] = 3e-4
-    (copy / "run.json").write_text(json.dumps(settings))
-    with pytest.raises(CheckpointError, match=r"was made with material = .* resume with the same settings"):
-        resume_run(copy)
+def test_a_damaged_run_is_told_and_repaired(copy, monkeypatch, capsys):
+    """It goes back to its last checkpoint before the damage, and ends as it did before."""
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["jaxcrumple", *map(str, arguments)])
+        with pytest.raises(SystemExit) as caught:
+            cli.main()
+        return caught.value.code, capsys.readouterr().out
+
+    assert call("verify", copy) == (0, f"{copy}: sound, 3 frames, {count_rows(copy)} rows of history\n")
+    assert call("repair", copy) == (0, f"{copy} is sound; nothing was changed\n")
+    whole, x = contents(copy), jaxcrumple.load(copy).x
+    (copy / "frames" / "00002.npz").write_bytes(b"")
+    code, text = call("verify", copy.parent)
+    assert code == 1 and "00002.npz' is damaged" in text and f"jaxcrumple repair {copy}" in text
+    code, text = call("repair", copy)
+    assert (
+        code == 0
+        and f"is at t = 0.02 s again; go on with: jaxcrumple run radial --resume --out {copy}" in text
+    )
+    assert RunDirectory.open(copy).counts.frames == 2
+    assert resume_run(copy)["result"] == "success"
+    after = contents(copy)
+    for name in whole:
+        if name.startswith(("history", "events", "mesh")):
+            assert after[name] == whole[name], name
+    np.testing.assert_array_equal(jaxcrumple.load(copy).x, x)
+
+
+def count_rows(folder):
+    return (folder / "history.csv").read_bytes().count(b"\n") - 1
+
+
+def test_a_run_of_nothing_sound_is_given_up(refused, copy):
+    for name in ("run.json", "manifest.json"):
+        (copy / name).write_text("{}")
+    for checkpoint in (copy / "checkpoints").iterdir():
+        checkpoint.write_bytes(b"")
+    assert "nothing in" in refused("repair", copy)
+
+
+def test_a_scene_that_is_built_otherwise_is_refused(refused, copy, monkeypatch):
+    """Such as one whose mesh file was edited: the same options, another sheet."""
+    entry = jaxcrumple.scenes.SCENES["radial"]
+
+    def thicker(nodes, seed, *, material, **options):
+        return entry.build(nodes, seed, material=replace(material, thickness=2e-4), **options)
+
+    monkeypatch.setitem(jaxcrumple.scenes.SCENES, "radial", entry._replace(build=thicker))
+    folder = RunDirectory.open(copy)
+    folder.cut()
+    before = contents(copy)
+    text = refused("run", "radial", "--resume", "--out", copy)
+    assert re.search(r"now make another \w+ than the run began with: a file that they name was changed", text)
+    assert contents(copy) == before
 
 
 # --- Going on ------------------------------------------------------------------------------------
@@ -285,15 +339,25 @@ def test_checkpoint_of_another_run_is_refused(copy):
 
 def test_resuming_a_finished_run_changes_nothing(copy):
     before = contents(copy)
-    old = json.loads(before["summary.json"])
+    assert resume_run(copy) == json.loads(before["summary.json"])
+    assert contents(copy) == before
+
+
+@pytest.mark.parametrize("lost", ["summary.json", "run.vtkhdf"])
+def test_an_ending_that_is_lost_is_written_again(copy, lost, monkeypatch):
+    """Without a simulation: the last checkpoint holds all there is to tell."""
+    monkeypatch.delattr(jaxcrumple.run, "simulate")
+    before = contents(copy)
+    (copy / lost).unlink()
     summary = resume_run(copy)
-    after = contents(copy)
-    same = [name for name in before if name.startswith(("frames", "history", "events", "mesh", "checkpoint"))]
-    assert len(same) >= 7
-    assert all(before[name] == after[name] for name in same)
-    for name in ("result", "t_reached", "steps", "energy", "switches"):
+    old = json.loads(before["summary.json"])
+    assert summary.keys() == old.keys()
+    for name in ("result", "message", "t_reached", "steps", "energy", "switches"):
         assert summary[name] == old[name]
-    # Time spent adds up over the sessions.
+    after = contents(copy)
+    assert after.keys() == before.keys()
+    for name in ("history.csv", "events.csv", "frames.csv", "run.json", "mesh.npz"):
+        assert after[name] == before[name]
     assert summary["run_s"] >= old["run_s"] - 0.5
 
 
@@ -317,7 +381,7 @@ def test_a_full_disk_ends_the_run_and_spoils_nothing(small_disk, finished, free)
     with pytest.raises(RunDirectoryError, match=r"No space left on device; free some space .* is intact"):
         start_run(CONFIG, folder)
     opened = RunDirectory.open(folder)
-    saved = [opened.load_frame(index) for index in opened.frames()]
+    saved = opened.load_frames()
     assert len(saved) >= 1
     assert opened.read_summary() == {}
     assert not list(folder.rglob("*.tmp"))

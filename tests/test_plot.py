@@ -41,6 +41,10 @@ def history():
     return table
 
 
+def stiffness_of(mesh):
+    return np.ones(len(mesh.edges)), np.ones(len(mesh.hinges))
+
+
 def colors(path):
     """Number of different colours of a picture."""
     pixels = matplotlib.image.imread(path)
@@ -130,11 +134,12 @@ def test_wrong_input_is_refused(tmp_path, mesh, folded):
 def test_pictures_of_a_run(tmp_path, mesh, folded, history):
     x, p = folded
     config = {"scene": "radial", "solver": {"rtol": 1e-4, "switch_up": 1e-5, "switch_down": 3e-6}}
-    folder = RunDirectory.create(tmp_path / "run", config)
-    folder.save_mesh(mesh)
-    folder.save_frame(0, 0.0, x, 0 * x, p)
+    folder = RunDirectory.create(tmp_path / "run", config, mesh, stiffness_of(mesh))
+    folder.save_frame(0.0, x, 0 * x, p)
+    folder.commit({}, {"t": 0.0})
     assert [path.name for path in plot.plot_run(folder.path)] == ["sheet.png", "creases.png"]
-    folder.append_history(list(history.columns), history.to_numpy())
+    folder.append_history(history.to_numpy())
+    folder.commit({}, {"t": 0.0})
     names = ["sheet.png", "creases.png", "steps.png", "energies.png"]
     assert [path.name for path in plot.plot_run(folder.path)] == names
     assert all((folder.path / name).is_file() for name in names)
@@ -154,10 +159,11 @@ def test_thresholds_are_drawn_in_the_unit_of_the_axis(
 ):
     """A switch at `up` sees a_max (m/b)^2 / sqrt(A); the axis shows a_max/a_ref, a_ref = ks/(m lambda)."""
     figures = kept_figures(plot)
-    folder = RunDirectory.create(tmp_path / "run", {"scene": "radial", "solver": solver})
-    folder.save_mesh(mesh)
-    folder.save_frame(0, 0.0, mesh.vertices, 0 * mesh.vertices, mesh.rest_curvature)
-    folder.append_history(list(history.columns), history.to_numpy())
+    config = {"scene": "radial", "solver": solver}
+    folder = RunDirectory.create(tmp_path / "run", config, mesh, stiffness_of(mesh))
+    folder.save_frame(0.0, mesh.vertices, 0 * mesh.vertices, mesh.rest_curvature)
+    folder.append_history(history.to_numpy())
+    folder.commit({}, {"t": 0.0})
     plot.plot_run(folder.path)
     dashed = [line.get_ydata()[0] for line in figures[2].axes[1].lines if line.get_linestyle() == "--"]
     if up is None:

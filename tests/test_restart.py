@@ -13,6 +13,7 @@ import pytest
 
 from jaxcrumple.config import configure
 from jaxcrumple.io import RunDirectory
+from jaxcrumple.io.verify import damages
 from jaxcrumple.run import resume_run, start_run
 
 PROGRAM = """
@@ -53,8 +54,13 @@ def same_bits(a, b):
         assert a[name].tobytes() == b[name].tobytes(), name
 
 
+def checkpoint_of(folder):
+    return folder / RunDirectory.open(folder).manifest.checkpoint
+
+
 def assert_same_run(folder, reference):
-    same_bits(arrays(folder / "checkpoint.npz"), arrays(reference / "checkpoint.npz"))
+    assert damages(folder) == {}
+    same_bits(arrays(checkpoint_of(folder)), arrays(checkpoint_of(reference)))
     for table in ("history.csv", "events.csv"):
         assert (folder / table).read_text() == (reference / table).read_text(), table
     frames = sorted(path.name for path in (reference / "frames").iterdir())
@@ -68,16 +74,16 @@ def killed(folder, resume, frame, seconds):
 
     False if it came to its end before.
     """
-    checkpoint = folder / "checkpoint.npz"
-    before = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
+    manifest = folder / "manifest.json"
+    before = manifest.stat().st_mtime_ns if manifest.exists() else 0
     # A kill must not leave half an entry among the compiled programs that all tests share.
     settings = os.environ | {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "1e9"}
     arguments = [config().model_dump_json(), str(folder), "resume" if resume else "start"]
     process = subprocess.Popen([sys.executable, "-c", PROGRAM, *arguments], env=settings)
     deadline = time.monotonic() + 600
     while not (
-        checkpoint.exists()
-        and checkpoint.stat().st_mtime_ns > before
+        manifest.exists()
+        and manifest.stat().st_mtime_ns > before
         and (folder / "frames" / f"{frame:05d}.npz").exists()
     ):
         assert process.poll() is None
@@ -100,7 +106,7 @@ def test_two_runs_are_equal(undisturbed):
     # It has both stages, and plastic flow: else the test below would show little.
     assert summary["switches"] >= 2
     assert summary["steps"]["implicit"] > 10
-    with np.load(folder / "checkpoint.npz") as file:
+    with np.load(checkpoint_of(folder)) as file:
         assert np.max(np.abs(file[".p"])) > 1e-3
 
 
@@ -123,10 +129,11 @@ def test_killed_runs_end_as_one_left_alone(undisturbed, tmp_path):
 def test_what_a_kill_leaves_half_done_is_dropped(undisturbed, tmp_path):
     reference, _ = undisturbed
     folder = shutil.copytree(reference, tmp_path / "run")
+    (folder / "summary.json").unlink()
     frames = sorted((folder / "frames").iterdir())
     (folder / "frames" / f"{len(frames):05d}.npz").write_bytes(frames[-1].read_bytes())
     (folder / "frames" / ".00003.npz.tmp").write_bytes(b"half")
-    (folder / ".checkpoint.npz.tmp").write_bytes(b"half")
+    (folder / "checkpoints" / ".latest-0.npz.tmp").write_bytes(b"half")
     with (folder / "history.csv").open("a") as file:
         file.write("0,0.6,quasistatic,1e-3")
     resume_run(folder)

@@ -213,6 +213,14 @@ class RunDirectory:
         except RunDirectoryError as error:
             raise RunDirectoryError(f"{error}; {cure(self.path)}") from error
 
+    def is_sound(self, name: str) -> bool:
+        """Whether a whole file belongs to the run and is as it was written."""
+        try:
+            checked(self.path, name, self.manifest.files.get(name))
+        except RunDirectoryError:
+            return False
+        return True
+
     def table(self, table: Table) -> Any:
         """A table as it was written. **Raises:** `RunDirectoryError`."""
         try:
@@ -265,11 +273,17 @@ class RunDirectory:
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write how the run ended, and make that and the film, if there is one, part of the run."""
-        film = self.path / FILM
-        ending = {FILM: entry_of(film.read_bytes())} if film.exists() else {}
-        ending[SUMMARY] = _write(self.path / SUMMARY, (to_json(summary, indent=2) + "\n").encode())
-        self._set(self.manifest.with_files(ending))
+        entry = _write(self.path / SUMMARY, (to_json(summary, indent=2) + "\n").encode())
+        self._set(self.manifest.with_files({SUMMARY: entry, **self._film()}))
         discard(self.path / PARTIAL)
+
+    def add_film(self) -> None:
+        """Make a film that was written again part of the run."""
+        self._set(self.manifest.with_files(self._film()))
+
+    def _film(self) -> dict[str, Entry]:
+        film = self.path / FILM
+        return {FILM: entry_of(film.read_bytes())} if film.exists() else {}
 
     def cut(self) -> None:
         """Remove what does not belong to the run: what a kill cut off, and the ending of one that goes on.
