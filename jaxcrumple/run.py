@@ -13,6 +13,7 @@ import pandas as pd
 
 from jaxcrumple.config import ConfigError, RunConfig
 from jaxcrumple.io import RunDirectory, RunDirectoryError, load_checkpoint, sheet_fields, write_vtkhdf
+from jaxcrumple.io.frames import Stiffness
 from jaxcrumple.io.lock import writing
 from jaxcrumple.io.manifest import Manifest
 from jaxcrumple.io.rundir import FILM, PARTIAL, RUN, is_run, make_folder, read_contents
@@ -86,7 +87,7 @@ def start_run(
     state = initial_state(setup.scene, setup.x, ledger=config.solver.ledger)
     check_start(setup.scene, state)
     with writing(make_folder(out), wait=wait):
-        folder = _begin(Path(out), config, setup)
+        folder = RunDirectory.create(out, *_parts(config, setup))
         return _go(config, folder, setup, solver, state, {}, observers)
 
 
@@ -136,13 +137,11 @@ def repair_run(out: str | Path) -> float | None:
         return 0.0
 
 
-def _begin(path: Path, config: RunConfig, setup: Setup) -> RunDirectory:
-    """A new run folder with the sheet in it."""
+def _parts(config: RunConfig, setup: Setup) -> tuple[dict[str, Any], Mesh, Stiffness, dict[str, Any]]:
+    """What the folder of a run holds from the beginning."""
     scene = setup.scene
     stiffness = np.asarray(scene.membrane.stiffness), np.asarray(scene.bending.stiffness)
-    return RunDirectory.create(
-        path, config.model_dump(mode="json"), setup.mesh, stiffness, sketch_scene(scene, setup.x)
-    )
+    return config.model_dump(mode="json"), setup.mesh, stiffness, sketch_scene(scene, setup.x)
 
 
 def _begin_again(path: Path) -> None:
@@ -158,7 +157,7 @@ def _begin_again(path: Path) -> None:
     config = stored_config(folder)
     setup = _built_again(config, folder, mesh=False)
     folder.clear()
-    _begin(path, config, setup)
+    RunDirectory.begin(path, *_parts(config, setup))
 
 
 def _built_again(config: RunConfig, folder: RunDirectory, *, mesh: bool = True) -> Setup:

@@ -19,15 +19,16 @@ CONTACT_PARTS = ("stiffness", "range", "core", "density")
 
 
 def sketch(tree: Any) -> list[float]:
-    """Size, norm and a projection of each array in a tree."""
+    """Size, largest number, norm and a projection of each array in a tree."""
     found: list[float] = []
     for leaf in jax.tree.leaves(eqx.filter(tree, eqx.is_array)):
         flat = np.nan_to_num(np.asarray(leaf, float).ravel(), nan=1e30, posinf=1e30, neginf=-1e30)
-        way = np.cos(np.arange(flat.size))
+        largest = float(np.max(np.abs(flat), initial=0.0))
+        flat, way = flat / (largest or 1.0), np.cos(np.arange(flat.size))  # no square overflows
         norm = float(np.linalg.norm(flat))
         # The sum does not cancel, so that rounding is small beside it.
         shadow = float(flat @ way) / max(float(np.linalg.norm(way)), 1e-30)
-        found += [float(flat.size), norm, 2.0 * norm + shadow]
+        found += [float(flat.size), largest, norm, 2.0 * norm + shadow]
     return found
 
 

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from jaxcrumple.io.atomic import RunDirectoryError, discard, refusal, temporary, to_json, write_bytes
@@ -98,7 +99,18 @@ class RunDirectory:
         **Raises:** `RunDirectoryError` if the folder is taken or cannot be written.
         """
         path = make_folder(path)
-        cls.check_free(path)
+        return cls.begin(path, config, mesh, stiffness, built)
+
+    @classmethod
+    def begin(
+        cls,
+        path: Path,
+        config: Mapping[str, Any],
+        mesh: Mesh,
+        stiffness: Stiffness,
+        built: Mapping[str, Any] | None,
+    ) -> RunDirectory:
+        """As `create`, in a folder without files of a run, whatever else it holds."""
         contents = json.loads(to_json({"config": config, "built": built or {}}))
         begun = {RUN: sealed(contents, FORMAT, VERSION), MESH: pack_mesh(mesh, stiffness)}
         entries = {name: _write(path / name, data) for name, data in begun.items()}
@@ -189,18 +201,18 @@ class RunDirectory:
 
     def load_frames(self) -> list[Frame]:
         """All frames."""
-        table = self.table(self._frames)
+        table = self._read_table(self._frames)
         rows = zip(table["index"], table["size"], table["sha256"], strict=True)
         names = [(frame_name(index), Entry(size, str(sha))) for index, size, sha in rows]
         return [unpack_frame(self.path / name, self.read(name, entry)) for name, entry in names]
 
-    def read_history(self) -> Any:
+    def read_history(self) -> pd.DataFrame:
         """The history as a table."""
-        return self.table(self.history)
+        return self._read_table(self.history)
 
-    def read_events(self) -> Any:
+    def read_events(self) -> pd.DataFrame:
         """The events as a table."""
-        return self.table(self.events)
+        return self._read_table(self.events)
 
     def read_summary(self) -> dict[str, Any]:
         """How the run ended; empty if it has not, or was killed."""
@@ -221,8 +233,7 @@ class RunDirectory:
             return False
         return True
 
-    def table(self, table: Table) -> Any:
-        """A table as it was written. **Raises:** `RunDirectoryError`."""
+    def _read_table(self, table: Table) -> pd.DataFrame:
         try:
             return table.read()
         except RunDirectoryError as error:

@@ -139,18 +139,12 @@ def _damage(folder: Path, name: str, entry: Entry) -> Iterator[tuple[str, str]]:
 
 
 def _moments(folder: Path) -> Iterator[_Moment]:
-    """The checkpoints that can be read, and are what the manifest says, as far as there is one."""
-    try:
-        known = dict(read_manifest(folder).files)
-    except RunDirectoryError:
-        known = {}
+    """The checkpoints all of whose arrays are sound: their own checksums tell, for the manifest may not."""
     for path in folder.glob(f"{CHECKPOINTS}/*.npz"):
-        name = path.relative_to(folder).as_posix()
         try:
             entry, metadata = entry_of(path.read_bytes()), read_metadata(path)
             manifest = Manifest.of(metadata["manifest"])
-            moment = _Moment(name, entry, float(metadata["t"]), manifest, metadata["run"])
+            name = path.relative_to(folder).as_posix()
+            yield _Moment(name, entry, float(metadata["t"]), manifest, metadata["run"])
         except (CheckpointError, OSError, KeyError, TypeError, ValueError):
             continue
-        if known.get(name, entry) == entry:
-            yield moment

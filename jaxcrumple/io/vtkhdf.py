@@ -105,7 +105,8 @@ def _append(root: h5py.Group, mesh: Mesh, frame: Frame, fields: Mapping[str, Fie
     _extend(root, "Points", np.asarray(frame.x, dtype=np.float64), mesh.n_nodes)
     for group, length in (("PointData", mesh.n_nodes), ("CellData", len(mesh.faces))):
         for name, field in fields[group].items():
-            _extend(root, f"{group}/{name}", np.asarray(field(frame), dtype=np.float32), length)
+            with np.errstate(over="ignore"):  # what float32 cannot hold is infinite there
+                _extend(root, f"{group}/{name}", np.asarray(field(frame), dtype=np.float32), length)
     return frame.t
 
 
