@@ -102,6 +102,14 @@ def test_a_fit_goes_on_from_its_file_to_the_same_answer(found, tmp_path):
     assert again.values == found.values
     assert sum(row["seconds"] > 0.0 for row in told) == len(whole.history) - kept
     kept = path.read_bytes()
+    damaged = kept.replace(b'"residuals", "u": [', b'"residuals", "u": [1', 1)
+    assert damaged != kept
+    path.write_bytes(damaged)
+    with pytest.raises(
+        ValueError, match=r"line 2 of .* is damaged: its checksum does not fit. Remove the line"
+    ):
+        falling(checkpoint=path)
+    path.write_bytes(kept)
     with pytest.raises(ValueError, match="holds a fit of rate, not of other"):
         fit(
             DATA._replace(setup=lambda values: setup({"rate": values["other"]})),
@@ -157,6 +165,9 @@ def test_bad_files_are_refused(tmp_path):
         with pytest.raises(ValueError, match="is no file of a fit"):
             falling(checkpoint=tmp_path / "fit.jsonl")
         assert (tmp_path / "fit.jsonl").read_text() == text
+    (tmp_path / "fit.jsonl").write_bytes(b"\xff\xfe\n")
+    with pytest.raises(ValueError, match="is no file of a fit in line 1"):
+        falling(checkpoint=tmp_path / "fit.jsonl")
     with pytest.raises(ValueError, match="is a folder"):
         falling(checkpoint=tmp_path)
     with pytest.raises(ValueError, match=r"cannot write .*check the path"):

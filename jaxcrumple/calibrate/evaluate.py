@@ -1,5 +1,6 @@
 """Runs at trial parameters: residuals from the run, their derivatives from its replay."""
 
+import hashlib
 import json
 import time
 from collections.abc import Callable, Mapping
@@ -150,7 +151,7 @@ class Evaluations:
             line = {"kind": kind, "u": list(u), "value": value.tolist(), "snaps": snaps}
             line["failure"] = self.failures.get(_key(u), "")
             with self.path.open("a") as file:
-                file.write(json.dumps(line) + "\n")
+                file.write(_sealed(line))
         return value
 
     def _tell(self, kind: str, u: np.ndarray, value: np.ndarray, seconds: float) -> None:
@@ -172,7 +173,7 @@ class Evaluations:
         """Go on with the fit in a file, or begin one."""
         if path.is_dir():
             raise ValueError(f"{path} is a folder; a fit is kept in a file.")
-        text = path.read_text() if path.exists() else ""
+        text = path.read_text(errors="replace") if path.exists() else ""
         if not text:
             mark = fingerprint(self.experiment, self.decoded(start), self.solver)
             header = {"fit": self.scales, "u": list(start), "fingerprint": mark}
@@ -180,14 +181,15 @@ class Evaluations:
                 path.parent.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise refusal(path, error) from error
-            write_bytes(path, (json.dumps(header) + "\n").encode())
+            write_bytes(path, _sealed(header).encode())
             return
         # What follows the last end of a line is from a fit that was killed.
         whole = text[: text.rfind("\n") + 1]
         try:
-            header, *lines = [json.loads(line) for line in whole.splitlines()]
+            found = [_unsealed(path, *numbered) for numbered in enumerate(whole.splitlines(), 1)]
+            header, lines = found[0], found[1:]
             scales, probe, known = header["fit"], np.array(header["u"]), header["fingerprint"]
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, IndexError) as error:
             raise ValueError(f"{path} is no file of a fit; give another one, or remove it.") from error
         if scales != self.scales:
             raise ValueError(
@@ -204,6 +206,29 @@ class Evaluations:
                 self.failures[_key(np.array(line["u"]))] = line["failure"]
             key = _key(np.array(line["u"]))
             self.known[line["kind"], key], self._snaps[key] = np.array(line["value"]), line["snaps"]
+
+
+def _sealed(contents: Mapping[str, Any]) -> str:
+    """A line of the file, with its own checksum. Residuals of a run that failed are infinite."""
+    text = json.dumps(contents)
+    return json.dumps({"contents": contents, "sha256": hashlib.sha256(text.encode()).hexdigest()}) + "\n"
+
+
+def _unsealed(path: Path, number: int, line: str) -> dict[str, Any]:
+    """Contents of a line. **Raises:** ValueError for one that `_sealed` did not make."""
+    try:
+        whole = json.loads(line)
+        text, sha256 = json.dumps(whole["contents"]), whole["sha256"]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"{path} is no file of a fit in line {number}; remove the line, or give another file."
+        ) from error
+    if hashlib.sha256(text.encode()).hexdigest() != sha256:
+        raise ValueError(
+            f"line {number} of {path} is damaged: its checksum does not fit. Remove the line, and what it "
+            "holds is computed again."
+        )
+    return whole["contents"]
 
 
 def _key(u: np.ndarray) -> str:
