@@ -7,30 +7,27 @@ numbers refer to Andrejevic & Rycroft, J. Comput. Phys. (2022) 111607.
 
 from __future__ import annotations
 
-import contextlib
-import io
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
-import meshio
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from jaxcrumple.mesh_files import MeshError
+from jaxcrumple.mesh_files.sheet import read_sheet
+from jaxcrumple.mesh_files.write import FILE_FORMATS, write_triangles
+
+__all__ = ["FILE_FORMATS", "FloatArray", "IntArray", "Mesh", "MeshError"]
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int32]
 
-#: File name endings that `Mesh.save` writes and `Mesh.from_file` reads back to the last digit.
-FILE_FORMATS = (".vtu", ".vtk", ".ply", ".obj", ".off", ".msh")
-
 _MIN_HEIGHT = 1e-6  # smallest height of a triangle, in units of its longest edge
 _HILBERT_BITS = 16
-
-
-class MeshError(ValueError):
-    """A surface that cannot be simulated. The message names the offender and the cure."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,46 +64,68 @@ class Mesh:
 
         **Arguments:**
 
-        - `vertices`: (n, 2) or (n, 3) rest positions [m]; two columns mean z = 0.
+        - `vertices`: (m, 2) or (m, 3) rest positions [m]; two columns mean z = 0. Those that no face uses are
+          dropped.
         - `faces`: (f, 3) integers. Where faces disagree in orientation the minority is turned.
         - `reorder`: number the nodes along a Hilbert curve and sort the faces to match, so that neighbours on
           the sheet are neighbours in memory. `source_nodes` leads back to the input.
 
         **Raises:** `MeshError` naming the offending nodes or faces of the input: wrong shape or type,
-        non-finite position, index out of range, repeated vertex, unused node, duplicate face, zero area, edge
-        with more than two faces, several components, two fans touching at one node, one-sided surface.
+        non-finite position, index out of range, repeated vertex, duplicate face, zero area, edge with more
+        than two faces, several components, two fans touching at one node, one-sided surface.
         """
         x = _checked_vertices(vertices)
         f = _checked_faces(faces, len(x))
         _check_areas(x, f)
-        f = _oriented(_checked_topology(f, len(x)))
-        order = _hilbert_order(x) if reorder else np.arange(len(x))
+        f = _oriented(_checked_topology(f))
+        order = np.unique(f)
         if reorder:
-            f = np.argsort(order)[f]
+            order = order[_hilbert_order(x[order])]
+        number = np.zeros(len(x), np.int64)
+        number[order] = np.arange(len(order))
+        f = number[f]
+        if reorder:
             f = f[np.lexsort(np.sort(f, axis=1).T[::-1])]
         topology = _connectivity(f.astype(np.int32))
-        return cls(**_frozen(source_nodes=order.astype(np.int32), **topology, **_metric(x[order], topology)))
+        return cls(source_nodes=order.astype(np.int32), **topology, **_metric(x[order], topology))
 
     @classmethod
-    def from_file(cls, path: str | Path, *, reorder: bool = True) -> Mesh:
-        """Read the triangles of any file that meshio understands; lengths are taken as metres.
+    def from_file(
+        cls,
+        path: str | Path,
+        *,
+        reorder: bool = True,
+        merge: float | str | None = None,
+        unit: str | None = None,
+    ) -> Mesh:
+        """Read a surface of triangles, quadrilaterals or polygons from any file that trimesh or meshio reads.
 
-        Points and line segments in the file are skipped. `reorder=False` keeps the numbering of the file.
+        Points that no face uses, line segments, colours, normals and texture coordinates are skipped.
+        Quadrilaterals are cut along the shorter diagonal. `source_nodes` counts the points of the file from
+        0.
 
-        **Raises:** `FileNotFoundError`; `MeshError` if the file cannot be read, has no triangles, has other
-        surface or volume cells, or fails the checks of `Mesh.from_arrays`.
+        **Arguments:**
+
+        - `reorder`: as in `from_arrays`; False keeps the order of the file.
+        - `merge`: points at most so far apart become one: a distance [m], or a string such as "1 um".
+          By default the points of STL files, which have no shared ones, within 1e-6 of the size of the sheet.
+        - `unit`: of all lengths in the file, such as "mm"; metres by default.
+
+        **Raises:** `FileNotFoundError`; `MeshError` if the file cannot be read, holds no surface or volume
+        cells, or fails the checks of `from_arrays`, whose numbers then count from 0 in the file.
+
+        **Warns:** `MeshWarning` for a size that suggests another unit.
         """
-        path = Path(path)
-        if not path.is_file():
-            raise FileNotFoundError(f"mesh file {str(path)!r} does not exist; check the path")
-        data = read_file(path)
-        others = sorted({c.type for c in data.cells} - {"triangle", "line", "vertex"})
-        if others:
-            raise MeshError(f"{str(path)!r} has cells of type {', '.join(others)}; triangulate them")
-        triangles = [c.data for c in data.cells if c.type == "triangle"]
-        if sum(map(len, triangles)) == 0:
-            raise MeshError(f"{str(path)!r} has no triangles; export the surface as a triangle mesh")
-        return cls.from_arrays(data.points, np.concatenate(triangles), reorder=reorder)
+        points, faces = read_sheet(path, merge, unit)
+        return cls.from_arrays(points, faces, reorder=reorder)
+
+    def __post_init__(self) -> None:
+        for name, array in vars(self).items():
+            object.__setattr__(self, name, _read_only(array))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Arrays are writeable again after pickling and copying, unless the mesh is made anew.
+        return type(self), tuple(getattr(self, name.name) for name in fields(self))
 
     def save(self, path: str | Path) -> None:
         """Write nodes and triangles in the format that the ending of `path`, one of `FILE_FORMATS`, names.
@@ -115,13 +134,7 @@ class Mesh:
 
         **Raises:** `MeshError` for an unknown ending, `OSError` if the file cannot be written.
         """
-        path = Path(path)
-        ending = path.suffix.lower()
-        if ending not in FILE_FORMATS:
-            raise MeshError(f"cannot save {str(path)!r}; end the name with one of {', '.join(FILE_FORMATS)}")
-        mesh = meshio.Mesh(self.vertices.copy(), [("triangle", self.faces.copy())])
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            mesh.write(path, file_format="gmsh" if ending == ".msh" else ending[1:])
+        write_triangles(path, self.vertices, self.faces)
 
     def with_rest_shape(self, vertices: ArrayLike) -> Mesh:
         """The same connectivity with the rest metric of other positions, (n, 3) or (n, 2) [m].
@@ -135,7 +148,7 @@ class Mesh:
             )
         _check_areas(x, self.faces)
         topology = {"faces": self.faces, "edges": self.edges, "hinges": self.hinges}
-        return replace(self, **_frozen(**_metric(x, topology)))
+        return replace(self, **_metric(x, topology))
 
     @property
     def n_nodes(self) -> int:
@@ -166,7 +179,7 @@ class Mesh:
 # Rest metric
 
 
-def _metric(x: FloatArray, topology: dict[str, NDArray]) -> dict[str, FloatArray]:
+def _metric(x: FloatArray, topology: dict[str, NDArray]) -> dict[str, NDArray]:
     faces, edges, hinges = topology["faces"], topology["edges"], topology["hinges"]
     face_area = _doubled_areas(x, faces) / 2
     e0, e1, e2 = (x[hinges[:, k]] - x[hinges[:, 0]] for k in (1, 2, 3))
@@ -192,11 +205,17 @@ def _doubled_areas(x: FloatArray, faces: NDArray) -> FloatArray:
     return np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
-def _frozen(**arrays: NDArray) -> dict[str, NDArray]:
-    for name, array in arrays.items():
-        arrays[name] = np.ascontiguousarray(array)
-        arrays[name].flags.writeable = False
-    return arrays
+def _read_only(array: NDArray) -> NDArray:
+    """The array itself if nothing can write to it, else a read-only copy."""
+    base: Any = array
+    safe = array.flags.c_contiguous
+    while isinstance(base, np.ndarray):
+        safe = safe and not base.flags.writeable
+        base = base.base
+    if not safe:
+        array = np.array(array, order="C")
+        array.flags.writeable = False
+    return array
 
 
 # Checks that need no connectivity
@@ -230,9 +249,6 @@ def _checked_faces(faces: ArrayLike, n: int) -> NDArray[np.int64]:
     bad = np.flatnonzero((f == np.roll(f, 1, axis=1)).any(axis=1))
     if len(bad):
         raise MeshError(f"face {bad[0]} repeats a vertex: {_ids(f[bad[0]])}{_more(bad)}; remove it")
-    bad = np.flatnonzero(np.bincount(f.ravel(), minlength=n) == 0)
-    if len(bad):
-        raise MeshError(f"node {bad[0]} belongs to no face{_more(bad)}; remove it and renumber the faces")
     return f
 
 
@@ -283,8 +299,8 @@ def _components(size: int, a: NDArray, b: NDArray) -> tuple[int, NDArray]:
     return connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(size, size)), directed=False)
 
 
-def _checked_topology(faces: NDArray, n: int) -> NDArray:
-    """`faces`, if they form one connected manifold of `n` nodes."""
+def _checked_topology(faces: NDArray) -> NDArray:
+    """`faces`, if they form one connected manifold."""
     _, same, count = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True)
     if count.max() > 1:
         twins = np.flatnonzero(same.ravel() == np.argmax(count))[:2]
@@ -297,7 +313,8 @@ def _checked_topology(faces: NDArray, n: int) -> NDArray:
         owners = _ids(np.flatnonzero(number == bad[0]) // 3)
         where = f"edge {_ids(edges[bad[0]])} belongs to {count[bad[0]]} faces {owners}{_more(bad)}"
         raise MeshError(f"{where}; at most two faces may meet at an edge, so split the surface there")
-    parts, label = _components(n, *edges.T)
+    used, rows = np.unique(edges, return_inverse=True)
+    parts, label = _components(len(used), *rows.reshape(-1, 2).T)
     if parts > 1:
         sizes = np.sort(np.bincount(label))[::-1]
         listed = ", ".join(map(str, sizes[:8])) + (", ..." if parts > 8 else "")
@@ -339,7 +356,7 @@ def _oriented(faces: NDArray) -> NDArray:
     return np.where(turned[:, None], faces[:, [0, 2, 1]], faces)
 
 
-def _connectivity(faces: IntArray) -> dict[str, IntArray]:
+def _connectivity(faces: IntArray) -> dict[str, NDArray]:
     """Edges and hinges of consistently oriented faces."""
     edges, number = _edge_numbers(faces)
     tail, head, opposite = _half_edges(faces)
@@ -384,15 +401,3 @@ def _hilbert_index(cells: NDArray[np.int64], bits: int) -> NDArray[np.int64]:
         x, y = np.where(flip, 2**bits - 1 - x, x), np.where(flip, 2**bits - 1 - y, y)
         x, y = np.where(up == 0, y, x), np.where(up == 0, x, y)
     return index
-
-
-def read_file(path: str | Path) -> meshio.Mesh:
-    """A file as meshio reads it. **Raises:** `MeshError`."""
-    try:
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            return meshio.read(path)
-    except (Exception, SystemExit) as error:  # meshio leaves by sys.exit when its last reader gives up
-        reason = str(error) if isinstance(error, Exception) else "no reader accepts its contents"
-        raise MeshError(
-            f"cannot read {str(path)!r} as a mesh ({reason}); re-export it, for example as .vtu"
-        ) from error

@@ -190,7 +190,6 @@ def test_refuses_bad_node_numbers():
     refused(r"face 1 is \(0, 2, 4\), outside 0..3; count nodes from 0", SQUARE, [[0, 1, 2], [0, 2, 4]])
     refused(r"face 0 is \(-1, 1, 2\) \(and 1 more\), outside", SQUARE, [[-1, 1, 2], [0, 2, 4]])
     refused(r"face 1 repeats a vertex: \(0, 2, 0\); remove it", SQUARE, [[0, 1, 2], [0, 2, 0]])
-    refused("node 3 belongs to no face; remove it", SQUARE, TWO[:1])
 
 
 def test_refuses_duplicate_faces():

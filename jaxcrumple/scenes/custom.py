@@ -9,7 +9,8 @@ import numpy as np
 from jax import Array
 
 from jaxcrumple.material import Material
-from jaxcrumple.mesh import FloatArray, Mesh, read_file
+from jaxcrumple.mesh import FloatArray, Mesh
+from jaxcrumple.mesh_files import read_surface
 from jaxcrumple.meshgen import disc, rectangle
 from jaxcrumple.model.confinement import AbstractShape, Cone, Corners, Cylinder, Plane, Sphere
 from jaxcrumple.model.contact import SelfContact
@@ -122,7 +123,7 @@ def tapered(x: FloatArray, taper: Taper) -> FloatArray:
 
 
 def _point_data(path: str, name: str) -> FloatArray:
-    data = read_file(path).point_data
+    data = read_surface(path).data
     if name not in data or np.ndim(data[name]) != 1:
         known = ", ".join(map(repr, data)) or "none"
         raise ValueError(f"sheet.thickness = {name!r} is not among the point data of {path}: {known}.")
