@@ -42,7 +42,9 @@ def check_built(config: RunConfig) -> None:
 
 def _nodes(config: RunConfig) -> int:
     sheet = config.options.get("sheet", {})
-    return Mesh.from_file(sheet["path"]).n_nodes if sheet.get("shape") == "file" else config.nodes
+    if sheet.get("shape") != "file":
+        return config.nodes
+    return Mesh.from_file(sheet["path"], merge=sheet["merge"], unit=sheet["unit"]).n_nodes
 
 
 def _material(config: RunConfig) -> str:

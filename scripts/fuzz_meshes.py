@@ -3,8 +3,8 @@
     python scripts/fuzz_meshes.py [DAMAGES]
 
 Every file of `mesh_dialects.SURFACES` must be read with the nodes, faces and area of its surface, and every
-one of `REFUSED` be refused. Each of DAMAGES (default 300) truncations and changed bytes of every file must give
-a mesh or a MeshError, within 5 s of CPU time and 2 GB of memory.
+one of `REFUSED` be refused. Each of DAMAGES (default 300) truncations and changed bytes of every file must
+give a mesh or a MeshError, within 5 s of CPU time and 2 GB of memory.
 """
 
 import re

@@ -137,6 +137,25 @@ def binary_vtk(faces=TRIANGLES, offsets=False, data=b""):
     )
 
 
+def vtu(faces=TRIANGLES, kind=5, points=POINTS, data=""):
+    ends = np.cumsum([len(f) for f in faces])
+
+    def array(name, kind, rows, more=""):
+        head = f'<DataArray type="{kind}" Name="{name}" format="ascii"{more}>'
+        return f"{head}\n{numbers(rows, '{}')}</DataArray>\n"
+
+    return (
+        '<?xml version="1.0"?>\n<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian">\n'
+        f'<UnstructuredGrid>\n<Piece NumberOfPoints="{len(points)}" NumberOfCells="{len(faces)}">\n<Points>\n'
+        + array("Points", "Float64", points.tolist(), ' NumberOfComponents="3"')
+        + f"</Points>\n{data}<Cells>\n"
+        + array("connectivity", "Int64", faces)
+        + array("offsets", "Int64", [ends.tolist()])
+        + array("types", "UInt8", [[kind] * len(faces)])
+        + "</Cells>\n</Piece>\n</UnstructuredGrid>\n</VTKFile>\n"
+    ).encode()
+
+
 UNSTRUCTURED = vtk_cells("CELLS", TRIANGLES) + "CELL_TYPES 8\n" + "5\n" * 8
 
 
@@ -279,6 +298,10 @@ SURFACES: dict[str, tuple[bytes, Expected]] = {
     ),
     "unstructured.vtk": (vtk(UNSTRUCTURED, "DATASET UNSTRUCTURED_GRID"), SHEET),
     "structured.vtk": (vtk(head="DATASET STRUCTURED_GRID\nDIMENSIONS 3 3 1"), SHEET),
+    "plain.vtu": (vtu(), SHEET),
+    "quads.vtu": (vtu(QUADS, 9), SHEET),
+    "unused.vtu": (vtu(points=EXTRA), SHEET),
+    "angle.vtu": (vtu(NGON, 7, ANGLE), ONE_ANGLE),
     "plain.msh": (gmsh2(), SHEET),
     "quads.msh": (gmsh2(faces=QUADS, cells=4), SHEET),
     "arc.msh": (gmsh2("10 1 1 0\n", "9 15 2 0 1 10\n10 1 2 0 1 1 2\n", 10, 10), SHEET),

@@ -1,5 +1,9 @@
 """The mesh: connectivity, rest metric, numbering, files, and what it refuses."""
 
+import copy
+import dataclasses
+import pickle
+
 import meshio
 import numpy as np
 import pytest
@@ -67,6 +71,49 @@ def test_arrays_are_read_only_and_leave_the_input_alone():
         mesh.vertices[0, 0] = 1.0
     vertices[0, 0], faces[0, 0] = -1.0, 3
     assert mesh.vertices[0, 0] == 0 and mesh.faces[0, 0] == 0
+
+
+@pytest.mark.parametrize(
+    "copied",
+    [
+        lambda mesh: pickle.loads(pickle.dumps(mesh)),
+        lambda mesh: pickle.loads(pickle.dumps(mesh, protocol=2)),
+        copy.copy,
+        copy.deepcopy,
+        lambda mesh: dataclasses.replace(mesh, vertices=mesh.vertices.copy()),
+        lambda mesh: mesh.with_rest_shape(mesh.vertices.copy()),
+    ],
+)
+def test_copies_of_a_mesh_are_read_only_and_equal(copied):
+    mesh = Mesh.from_arrays(*perturbed())
+    other = copied(mesh)
+    for field in dataclasses.fields(Mesh):
+        values = getattr(other, field.name)
+        np.testing.assert_array_equal(values, getattr(mesh, field.name))
+        assert not values.flags.writeable
+        with pytest.raises(ValueError, match="read-only"):
+            values[0] = 0
+
+
+def test_no_view_of_a_writeable_array_is_kept():
+    mesh = hexagonal(3, 2, 1.0)
+    mine = mesh.vertices.copy()
+    view = mine[:]
+    view.flags.writeable = False
+    other = dataclasses.replace(mesh, vertices=view)
+    mine[0] = 7.0
+    np.testing.assert_array_equal(other.vertices, mesh.vertices)
+
+
+def test_nodes_without_faces_are_dropped_and_source_nodes_leads_back():
+    vertices = np.vstack([[9.0, 9, 9], SQUARE[:2], [8, 8, 8], SQUARE[2:]])
+    for reorder in (True, False):
+        mesh = Mesh.from_arrays(vertices, [[1, 2, 4], [1, 4, 5]], reorder=reorder)
+        assert sorted(mesh.source_nodes) == [1, 2, 4, 5]
+        np.testing.assert_array_equal(mesh.vertices, vertices[mesh.source_nodes])
+        assert mesh.area == 1.0
+    assert mesh.source_nodes.tolist() == [1, 2, 4, 5] and mesh.faces.tolist() == [[0, 1, 2], [0, 2, 3]]
+    refused(r"edge \(1, 4\) belongs to 3 faces", vertices, [[1, 2, 4], [1, 4, 5], [1, 4, 0]])
 
 
 @pytest.mark.parametrize("reorder", [True, False])
@@ -302,9 +349,9 @@ def test_refuses_files_it_cannot_use(tmp_path, capsys):
         (tmp_path / name).write_text("not a mesh")
         with pytest.raises(MeshError, match=f"cannot read .*{name}.*re-export"):
             Mesh.from_file(tmp_path / name)
-    meshio.Mesh(SQUARE, [("quad", [[0, 1, 2, 3]])]).write(tmp_path / "quad.vtu")
-    with pytest.raises(MeshError, match="cells of type quad; triangulate"):
-        Mesh.from_file(tmp_path / "quad.vtu")
+    meshio.Mesh(TETRAHEDRON, [("tetra", [[0, 1, 2, 3]])]).write(tmp_path / "solid.vtu")
+    with pytest.raises(MeshError, match="cells of type tetra; export the surface alone"):
+        Mesh.from_file(tmp_path / "solid.vtu")
     meshio.Mesh(SQUARE, [("line", [[0, 1]])]).write(tmp_path / "line.vtu")
     with pytest.raises(MeshError, match="has no triangles"):
         Mesh.from_file(tmp_path / "line.vtu")

@@ -105,6 +105,12 @@ def _read_with_meshio(path: Path) -> Surface:
             "triangles"
         )
     tables = [np.asarray(block.data) for block in kept]
+    widths = {"triangle": 3, "quad": 4}
+    if any(
+        table.shape[1] != widths.get(b.type, max(table.shape[1], 3))
+        for b, table in zip(kept, tables, strict=True)
+    ):
+        raise ValueError("its cells have other numbers of corners than they should")
     sizes = np.concatenate([np.full(len(table), table.shape[1]) for table in tables] or [np.zeros(0, int)])
     corners = np.concatenate([table.ravel() for table in tables] or [np.zeros(0, int)])
     return Surface(spatial(data.points), corners.astype(np.int64), sizes, data.point_data)

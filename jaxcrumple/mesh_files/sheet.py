@@ -15,6 +15,7 @@ from jaxcrumple.mesh_files.polygons import triangulated
 from jaxcrumple.mesh_files.read import read_surface
 from jaxcrumple.mesh_files.surface import MeshError, MeshWarning
 from jaxcrumple.units import LENGTH
+from jaxcrumple.words import nearest
 
 #: Points of an STL file, which lists three for each triangle, become one if they are closer than this,
 #: relative to the size of the surface: ten times the rounding of single precision.
@@ -59,10 +60,10 @@ def unit_length(unit: str | None) -> float:
         return 1.0
     try:
         factor = LENGTH.si(f"1 {unit}")
-    except ValueError as error:
-        raise MeshError(f"unit = {unit!r} {error}") from error
+    except ValueError:
+        factor = None
     if not isinstance(factor, float):
-        raise MeshError(f"unit = {unit!r} is no unit of length; give one, such as 'mm'")
+        raise MeshError(f"unit = {unit!r} is no unit of length{nearest(str(unit), LENGTH.usual)}")
     return factor
 
 
@@ -116,7 +117,7 @@ def _warn_of_size(path: str | Path, raw: float, size: float, unit: str | None) -
         said = f"is {size:.4g} m across, if its lengths are metres; give unit = 'mm' for millimetres, or 'm'"
     elif unit is None and size < _SMALLEST:
         said = f"is {size:.4g} m across, if its lengths are metres; give its unit, or 'm'"
-    elif size < _SMALLEST and raw < 1:
+    elif unit is not None and size < _SMALLEST and size < raw < 1:
         said = f"is {size:.4g} m across in the unit {unit!r}; if its lengths are metres, leave it out"
     else:
         return

@@ -11,6 +11,7 @@ from jax import Array
 from jaxcrumple.material import Material
 from jaxcrumple.mesh import FloatArray, Mesh
 from jaxcrumple.mesh_files import read_surface
+from jaxcrumple.mesh_files.sheet import unit_length
 from jaxcrumple.meshgen import disc, rectangle
 from jaxcrumple.model.confinement import AbstractShape, Cone, Corners, Cylinder, Plane, Sphere
 from jaxcrumple.model.contact import SelfContact
@@ -70,7 +71,7 @@ def custom(nodes: int = 1000, seed: int = 0, *, material: Material | None = None
 
 def _mesh(sheet: Square | Disc | FileSheet, nodes: int, seed: int) -> Mesh:
     if isinstance(sheet, FileSheet):
-        return Mesh.from_file(sheet.path)
+        return Mesh.from_file(sheet.path, merge=sheet.merge, unit=sheet.unit)
     if isinstance(sheet, Disc):
         size, flat = 2.0 * sheet.radius, disc(sheet.radius, nodes, seed=seed, sweeps=sheet.sweeps)
     else:
@@ -104,7 +105,7 @@ def _varied(material: Material, sheet: Square | Disc | FileSheet, mesh: Mesh) ->
     if sheet.taper is not None:
         thickness = tapered(mesh.vertices, sheet.taper)
     elif isinstance(sheet, FileSheet) and sheet.thickness is not None:
-        thickness = _point_data(sheet.path, sheet.thickness)[mesh.source_nodes]
+        thickness = _point_data(sheet.path, sheet.thickness)[mesh.source_nodes] * unit_length(sheet.unit)
     else:
         return material
     curvature = material.yield_curvature

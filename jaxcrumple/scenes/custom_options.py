@@ -18,6 +18,8 @@ from pydantic import (
     model_validator,
 )
 
+from jaxcrumple.mesh_files import MeshError
+from jaxcrumple.mesh_files.sheet import unit_length
 from jaxcrumple.model.contact import Potential
 from jaxcrumple.units import (
     LENGTH,
@@ -119,14 +121,17 @@ class Disc(GeneratedSheet):
 
 
 class FileSheet(Table):
-    """The triangles of the file `path`, which meshio reads, in m: its rest shape as it is, curved or not.
+    """The surface in the file `path`, which trimesh or meshio reads: its rest shape as it is, curved or not.
 
-    `thickness`: the name of point data in the file with the thickness of each node in m. A path is taken
-    from the folder of the scene file.
+    `unit` of all lengths in the file, metres by default; points up to `merge` in m apart become one.
+    `thickness`: the name of point data in the file with the thickness of each node in that unit. A path is
+    taken from the folder of the scene file.
     """
 
     shape: Literal["file"]
     path: str
+    unit: str | None = None
+    merge: Annotated[Metre | None, Field(ge=0)] = None
     thickness: str | None = None
     taper: Taper | None = None
 
@@ -141,6 +146,15 @@ class FileSheet(Table):
         if not exists:
             raise ValueError("there is no such file; give that of a mesh")
         return str(found)
+
+    @field_validator("unit")
+    @classmethod
+    def _known(cls, unit: str | None) -> str | None:
+        try:
+            unit_length(unit)
+        except MeshError as error:
+            raise ValueError(str(error).removeprefix(f"unit = {unit!r} ")) from error
+        return unit
 
     @model_validator(mode="after")
     def _one_thickness(self) -> "FileSheet":
