@@ -280,7 +280,7 @@ def _half_edges(faces: NDArray) -> tuple[NDArray, NDArray, NDArray]:
     return faces.ravel(), np.roll(faces, -1, axis=1).ravel(), np.roll(faces, -2, axis=1).ravel()
 
 
-def _edge_numbers(faces: NDArray) -> tuple[NDArray, NDArray]:
+def edge_numbers(faces: NDArray) -> tuple[NDArray, NDArray]:
     """Edges (e, 2) in lexicographic order, and the edge of each half-edge."""
     tail, head, _ = _half_edges(faces.astype(np.int64))
     n = int(faces.max()) + 1
@@ -288,7 +288,7 @@ def _edge_numbers(faces: NDArray) -> tuple[NDArray, NDArray]:
     return np.stack([keys // n, keys % n], axis=1), number.ravel()
 
 
-def _half_edge_pairs(number: NDArray) -> tuple[NDArray, NDArray]:
+def half_edge_pairs(number: NDArray) -> tuple[NDArray, NDArray]:
     """The two half-edges of every edge that has two."""
     order = np.argsort(number, kind="stable")
     first = np.flatnonzero(number[order[1:]] == number[order[:-1]])
@@ -306,7 +306,7 @@ def _checked_topology(faces: NDArray) -> NDArray:
         twins = np.flatnonzero(same.ravel() == np.argmax(count))[:2]
         where = f"faces {_ids(twins)} have the same nodes {_ids(faces[twins[0]])}"
         raise MeshError(f"{where}{_more(np.flatnonzero(count > 1))}; keep one")
-    edges, number = _edge_numbers(faces)
+    edges, number = edge_numbers(faces)
     count = np.bincount(number)
     bad = np.flatnonzero(count > 2)
     if len(bad):
@@ -325,7 +325,7 @@ def _checked_topology(faces: NDArray) -> NDArray:
 
 def _check_fans(faces: NDArray, number: NDArray) -> None:
     """The corners at each node must hang together over shared edges."""
-    a, b = _half_edge_pairs(number)
+    a, b = half_edge_pairs(number)
     node, following = faces.ravel(), np.arange(faces.size).reshape(-1, 3)[:, [1, 2, 0]].ravel()
     same = node[a] == node[b]
     tails = np.where(same, b, following[b]), np.where(same, following[b], b)
@@ -345,7 +345,7 @@ def _oriented(faces: NDArray) -> NDArray:
     Each face stands for two nodes of a graph, as given (i) and turned (i + f); neighbours are joined in the
     pairs that agree. The graph splits into the two orientations unless the surface has only one side.
     """
-    a, b = _half_edge_pairs(_edge_numbers(faces)[1])
+    a, b = half_edge_pairs(edge_numbers(faces)[1])
     clash = faces.ravel()[a] == faces.ravel()[b]
     i, j, f = a // 3, b // 3, len(faces)
     pairs = np.concatenate([i, i + f]), np.concatenate([j + f * clash, j + f * ~clash])
@@ -358,7 +358,7 @@ def _oriented(faces: NDArray) -> NDArray:
 
 def _connectivity(faces: IntArray) -> dict[str, NDArray]:
     """Edges and hinges of consistently oriented faces."""
-    edges, number = _edge_numbers(faces)
+    edges, number = edge_numbers(faces)
     tail, head, opposite = _half_edges(faces)
     along, against = np.full(len(edges), -1), np.full(len(edges), -1)
     half_edges = np.arange(faces.size)
