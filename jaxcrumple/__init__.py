@@ -3,8 +3,10 @@
 from jaxcrumple.calibrate import Experiment, Fit, Parameter, calibrate_fold, calibrate_pattern, fit
 from jaxcrumple.config import ConfigError, configure
 from jaxcrumple.io import CheckpointError, Run, RunDirectoryError, load
+from jaxcrumple.isotropy import Stiffness, patch_test
 from jaxcrumple.material import Material
 from jaxcrumple.mesh import Mesh, MeshError
+from jaxcrumple.mesh_files import MeshWarning
 from jaxcrumple.meshgen import disc, hexagonal, rectangle
 from jaxcrumple.model.confinement import (
     Ball,
@@ -22,6 +24,7 @@ from jaxcrumple.model.loads import ElementEnergy, Gravity, LinearMotion, Prescri
 from jaxcrumple.model.plasticity import AbstractFlowRule, SmoothstepFlow
 from jaxcrumple.model.scene import Scene, sheet
 from jaxcrumple.presets import PRESETS, preset
+from jaxcrumple.remesh import remeshed
 from jaxcrumple.renewal import with_contacts
 from jaxcrumple.replay import Record, Replay, replay
 from jaxcrumple.run import resume_run, start_run
@@ -76,6 +79,7 @@ __all__ = [
     "Material",
     "Mesh",
     "MeshError",
+    "MeshWarning",
     "Opening",
     "Parameter",
     "Plane",
@@ -93,6 +97,7 @@ __all__ = [
     "Solution",
     "Sphere",
     "State",
+    "Stiffness",
     "Switch",
     "Wall",
     "arch",
@@ -124,6 +129,7 @@ __all__ = [
     "linear_solve",
     "load",
     "mass_matrix",
+    "patch_test",
     "potential_energy",
     "preset",
     "radial",
@@ -131,6 +137,7 @@ __all__ = [
     "rectangle",
     "relax",
     "relaxed_drop",
+    "remeshed",
     "replay",
     "resume_run",
     "ridge",

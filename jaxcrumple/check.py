@@ -2,6 +2,7 @@
 
 from jaxcrumple.config import RunConfig
 from jaxcrumple.estimate import estimate
+from jaxcrumple.isotropy import patch_test
 from jaxcrumple.mesh import Mesh
 from jaxcrumple.scenes import SCENES
 from jaxcrumple.start import check_start
@@ -15,13 +16,15 @@ def described(config: RunConfig) -> list[str]:
 
     **Raises:** `MeshError` for a mesh file that cannot be used.
     """
-    nodes, options = _nodes(config), config.options
+    mesh, options = _file_mesh(config), config.options
+    nodes = config.nodes if mesh is None else mesh.n_nodes
     walls = SCENES[config.scene].walls(options)
     contact = options.get("contact") or "none: the sheet passes through itself"
     solver = config.solver
     return [
         f"scene: {config.scene}, {SCENES[config.scene].summary}",
         f"nodes: {nodes}, seed {config.seed}",
+        *([] if mesh is None else [f"mesh: {patch_test(mesh)}"]),
         f"walls: {'; '.join(walls) or 'none'}",
         f"contact: {contact}",
         f"material: {_material(config)}",
@@ -40,11 +43,12 @@ def check_built(config: RunConfig) -> None:
     check_start(setup.scene, initial_state(setup.scene, setup.x))
 
 
-def _nodes(config: RunConfig) -> int:
+def _file_mesh(config: RunConfig) -> Mesh | None:
+    """The mesh of a file, of which the sheet itself is made."""
     sheet = config.options.get("sheet", {})
-    if sheet.get("shape") != "file":
-        return config.nodes
-    return Mesh.from_file(sheet["path"], merge=sheet["merge"], unit=sheet["unit"]).n_nodes
+    if sheet.get("shape") != "file" or sheet["remesh"]:
+        return None
+    return Mesh.from_file(sheet["path"], merge=sheet["merge"], unit=sheet["unit"])
 
 
 def _material(config: RunConfig) -> str:

@@ -6,6 +6,7 @@ triangulation the same constants make a sheet that is softer or stiffer, and not
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import astuple, dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from scipy.sparse.csgraph import breadth_first_order
 from scipy.sparse.linalg import spsolve
 
 from jaxcrumple.mesh import FloatArray, Mesh, edge_numbers, half_edge_pairs
+from jaxcrumple.mesh_files import MeshWarning
 
 #: Deviation from the lattice, or among directions, beyond which a sheet is not what its material says.
 TOLERANCE = 0.05
@@ -30,9 +32,9 @@ _YOUNG, _BENDING = 2 / np.sqrt(3), np.sqrt(3) / 2  # of the lattice with ks = kb
 class Stiffness:
     """Elasticity of a mesh relative to that of the lattice of equilateral triangles.
 
-    `young` and `bending` are means over all directions: of Young's modulus under tension, and of the stiffness
-    against bending into a cylinder. An anisotropy is the largest deviation of any direction from the mean, over
-    the mean. `poisson` is the mean in-plane Poisson ratio, 1/3 for the lattice.
+    `young` and `bending` are means over all directions: of Young's modulus under tension, and of the
+    stiffness against bending into a cylinder. An anisotropy is the largest deviation of any direction from
+    the mean, over the mean. `poisson` is the mean in-plane Poisson ratio, 1/3 for the lattice.
     """
 
     young: float
@@ -45,7 +47,7 @@ class Stiffness:
     def worst(self) -> float:
         """The largest of the deviations that `TOLERANCE` bounds."""
         of_means = abs(self.young - 1), abs(self.bending - 1)
-        return float(max(*of_means, self.young_anisotropy, self.bending_anisotropy))
+        return float(np.nanmax([*of_means, self.young_anisotropy, self.bending_anisotropy]))
 
     def __str__(self) -> str:
         return (
@@ -57,14 +59,14 @@ class Stiffness:
 def patch_test(mesh: Mesh) -> Stiffness:
     """Stiffness of a mesh under a homogeneous strain and a homogeneous curvature.
 
-    The nodes on the boundary, and for bending their neighbours, follow the homogeneous deformation; all others
-    relax. This gives an upper bound, as close to the stiffness of the sheet as the mesh is fine. Without
-    relaxation it would be higher by some per cent on random meshes, as Lloyd's are, and blame them for nothing.
+    The nodes on the boundary, and for bending their neighbours, follow the homogeneous deformation; all
+    others relax. This gives an upper bound, as close to the stiffness of the sheet as the mesh is fine.
+    Without relaxation it would be some per cent higher on random meshes, whose nodes do not move affinely.
     Springs on the boundary, which have one triangle, count half.
 
     A sheet of more than 3000 nodes is tested in five patches, a curved one in patches that are projected onto
-    the planes that fit them best. A curved sheet has no common frame, so its anisotropies are means of those of
-    the patches.
+    the planes that fit them best. A curved sheet has no common frame, so its anisotropies are means of those
+    of the patches.
     """
     plane = flattened(mesh)
     if plane is not None:
@@ -76,6 +78,19 @@ def patch_test(mesh: Mesh) -> Stiffness:
         axes = np.linalg.svd(x[np.unique(faces)], full_matrices=False)[2]
         found.append(astuple(_stiffness(*_tensors(x @ axes[:2].T, faces))))
     return Stiffness(*np.mean(found, axis=0))
+
+
+def warn_of_anisotropy(mesh: Mesh, path: str) -> None:
+    """Warn of a mesh file whose sheet would not have the stiffness that its material has."""
+    found = patch_test(mesh)
+    if found.worst > TOLERANCE:
+        cure = "set remesh = true" if flattened(mesh) is not None else "remesh it"
+        warnings.warn(
+            f"the mesh of {path!r} makes a sheet that is not isotropic: {found}; {cure} for triangles that "
+            "are nearly equilateral.",
+            MeshWarning,
+            stacklevel=4,
+        )
 
 
 def flattened(mesh: Mesh) -> FloatArray | None:
@@ -129,7 +144,9 @@ def _membrane(x: FloatArray, edges: NDArray, weight: FloatArray, free: NDArray) 
 
 
 def _plate(x: FloatArray, hinges: NDArray, inner: tuple[NDArray, NDArray], free: NDArray) -> FloatArray:
-    """Of the triangles of each hinge those count that are `inner`; all hinges of others lie among fixed nodes."""
+    """Of the triangles of each hinge those count that are `inner`; others lie among fixed nodes."""
+    if len(hinges) == 0:
+        return np.full((3, 3), np.nan)
     if not inner[0].any() and not inner[1].any():
         inner = (np.ones(len(hinges), bool),) * 2
     a, b, c, d = (x[hinges[:, k]] for k in range(4))

@@ -33,7 +33,7 @@ def hexagonal(nx: int, ny: int, spacing: float, *, reorder: bool = True) -> Mesh
 
     **Raises:** `ValueError` for a count too small or not an integer, or a spacing not positive.
     """
-    nx, ny = _count("nx", nx, 2), _count("ny", ny, 1)
+    nx, ny = whole_number("nx", nx, 2), whole_number("ny", ny, 1)
     spacing = _length("spacing", spacing)
     i, j = np.meshgrid(np.arange(nx), np.arange(ny + 1))
     x = (i + 0.5 * (j % 2) - (nx - 0.5) / 2) * spacing
@@ -153,32 +153,36 @@ class _Disc:
 
 
 def _random_mesh(domain: _Domain, nodes: SupportsIndex, seed: SupportsIndex, sweeps: SupportsIndex) -> Mesh:
-    nodes, seed, sweeps = _count("nodes", nodes, 5), _count("seed", seed, 0), _count("sweeps", sweeps, 0)
-    spacing = _spacing(domain, nodes)
+    nodes, seed, sweeps = (
+        whole_number("nodes", nodes, 5),
+        whole_number("seed", seed, 0),
+        whole_number("sweeps", sweeps, 0),
+    )
+    spacing = lattice_spacing(domain.area, domain.perimeter, nodes)
     fixed = domain.boundary(spacing)
     if len(fixed) >= nodes:
         raise ValueError(f"nodes = {nodes} all lie on the boundary of so slender a domain; give more")
-    guard = _guard(fixed)
+    guard = guard_points(fixed)
     free = domain.sample(np.random.default_rng(seed), nodes - len(fixed), _INSET * spacing)
     for _ in range(sweeps):
         # Images clip the cells at the boundary. Nodes farther from it than half a spacing need none: to every
         # point of the boundary one of its own nodes is nearer.
-        free = _centroids(free, np.vstack([fixed, domain.mirror(free, spacing), guard]))
+        free = centroids(free, np.vstack([fixed, domain.mirror(free, spacing), guard]))
     points = np.vstack([fixed, free])
     triangles = Delaunay(np.vstack([points, guard])).simplices
     return Mesh.from_arrays(points, triangles[(triangles < nodes).all(axis=1)])
 
 
-def _spacing(domain: _Domain, nodes: int) -> float:
-    """Side of the equilateral triangles that cover the domain.
+def lattice_spacing(area: float, perimeter: float, nodes: int) -> float:
+    """Side of the equilateral triangles that cover a domain without holes; each hole counts as a node.
 
     With b = perimeter / a nodes on the rim, Euler's formula gives 2 n - 2 - b faces of area sqrt(3)/4 a^2.
     """
-    half = domain.perimeter / 2
-    return (half + math.sqrt(half**2 + 8 / math.sqrt(3) * domain.area * (nodes - 1))) / (2 * (nodes - 1))
+    half = perimeter / 2
+    return (half + math.sqrt(half**2 + 8 / math.sqrt(3) * area * (nodes - 1))) / (2 * (nodes - 1))
 
 
-def _guard(fixed: FloatArray) -> FloatArray:
+def guard_points(fixed: FloatArray) -> FloatArray:
     """Far points around the domain, so that no side of it is a side of the convex hull.
 
     Qhull may cover collinear points of the hull with triangles of no area, or leave them out.
@@ -187,7 +191,7 @@ def _guard(fixed: FloatArray) -> FloatArray:
     return 20 * np.abs(fixed).max() * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def _centroids(free: FloatArray, others: FloatArray) -> FloatArray:
+def centroids(free: FloatArray, others: FloatArray) -> FloatArray:
     """Centroids of the Voronoi cells of `free` in the diagram of all points: one sweep of Lloyd's algorithm.
 
     The cell of a point is the fan of triangles (point, c, c') over its Voronoi edges, whose ends c, c' are
@@ -217,7 +221,7 @@ def _circumcentres(points: FloatArray, triangles: np.ndarray) -> FloatArray:
     return a + shift / np.where(det == 0, 1, det)[:, None]
 
 
-def _count(name: str, value: SupportsIndex, least: int) -> int:
+def whole_number(name: str, value: SupportsIndex, least: int) -> int:
     try:
         count = operator.index(value)
     except TypeError:

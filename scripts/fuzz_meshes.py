@@ -11,7 +11,6 @@ import re
 import resource
 import sys
 import tempfile
-import time
 import warnings
 from collections import Counter
 from pathlib import Path
@@ -72,7 +71,7 @@ def damage(folder: Path, name: str, content: bytes, number: int) -> str:
     """Read a file with the damage of a number. **Returns:** "read" or "refused"."""
     path = folder / name
     path.write_bytes(damaged(content, np.random.default_rng([number, *name.encode()])))
-    start = time.process_time()
+    start = resource.getrusage(resource.RUSAGE_SELF).ru_utime
     try:
         Mesh.from_file(path)
         outcome = "read"
@@ -80,8 +79,9 @@ def damage(folder: Path, name: str, content: bytes, number: int) -> str:
         outcome = "refused"
         if "\n" in str(error) or len(str(error)) > 1000:
             raise AssertionError(f"{name}: {error}") from error
-    if time.process_time() - start > SECONDS:
-        raise AssertionError(f"{name} takes {time.process_time() - start:.1f} s")
+    seconds = resource.getrusage(resource.RUSAGE_SELF).ru_utime - start
+    if seconds > SECONDS:
+        raise AssertionError(f"{name} takes {seconds:.1f} s")
     return outcome
 
 

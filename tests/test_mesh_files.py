@@ -97,6 +97,7 @@ def test_polygons_keep_their_order_among_triangles():
 # Nodes of the file
 
 
+@pytest.mark.filterwarnings("ignore:the mesh of .* is not isotropic")
 def test_source_nodes_and_data_follow_nodes_that_are_dropped_and_merged(file):
     # Two triangles over six points of which two coincide, after one that no face uses.
     points = np.vstack([[[5.0, 5, 5]], POINTS[[0, 1, 4, 0, 4, 3]] + 1e-9 * np.arange(6)[:, None]])
@@ -115,6 +116,7 @@ def test_source_nodes_and_data_follow_nodes_that_are_dropped_and_merged(file):
     np.testing.assert_allclose(setup.material.thickness, 1e-3 * (1 + setup.mesh.source_nodes))
 
 
+@pytest.mark.filterwarnings("ignore:the mesh of .* is not isotropic")
 def test_thickness_of_a_ply_file(file):
     path = file("a.ply", ply(vertex="property float h\n", tail=" 0.0001"))
     setup = jc.custom(sheet={"shape": "file", "path": str(path), "thickness": "h"}, contact=None)
@@ -197,6 +199,7 @@ def test_warns_of_a_size_that_suggests_another_unit(file):
         size(factor, unit)
 
 
+@pytest.mark.filterwarnings("ignore:the mesh of .* is not isotropic")
 def test_a_scene_file_has_unit_and_merging_distance(file, tmp_path):
     file("a.stl", stl(noise=1e-5, scale=1e3))
     head = 'scene = "custom"\n[options.sheet]\nshape = "file"\npath = "a.stl"\n'

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull, Voronoi
 
-from jaxcrumple.meshgen import _centroids, disc, hexagonal, rectangle
+from jaxcrumple.meshgen import centroids, disc, hexagonal, rectangle
 
 
 def angles(mesh):
@@ -85,12 +85,12 @@ def test_lloyd_sweeps_even_the_triangles_up_to_the_boundary(make, seed):
     assert 0.95 < ratio < 1.05
 
 
-def test_a_sweep_moves_nodes_to_the_centroids_of_their_voronoi_cells():
+def test_a_sweep_moves_nodes_to_thecentroids_of_their_voronoi_cells():
     points = np.random.default_rng(0).uniform(-1, 1, size=(200, 2))
     inner = np.abs(points).max(axis=1) < 0.6
     free, others = points[inner], points[~inner]
     diagram = Voronoi(np.vstack([free, others]))
-    for k, moved in enumerate(_centroids(free, others)):
+    for k, moved in enumerate(centroids(free, others)):
         cell = diagram.vertices[diagram.regions[diagram.point_region[k]]]
         a = cell[ConvexHull(cell).vertices]
         b = np.roll(a, -1, axis=0)

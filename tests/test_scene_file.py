@@ -249,6 +249,7 @@ def test_the_commands(file, tmp_path, monkeypatch, capsys):
     assert code == 0 and 'scene = "fold"' in streams.out
 
 
+@pytest.mark.filterwarnings("ignore:the mesh of .* is not isotropic")
 def test_a_sheet_of_ones_own(file, tmp_path):
     flat = jc.disc(0.03, 60, sweeps=3)
     thick = 1e-4 + 1e-3 * (flat.vertices[:, 0] + 0.03)

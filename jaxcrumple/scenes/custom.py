@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxcrumple.isotropy import warn_of_anisotropy
 from jaxcrumple.material import Material
 from jaxcrumple.mesh import FloatArray, Mesh
 from jaxcrumple.mesh_files import read_surface
@@ -18,6 +19,7 @@ from jaxcrumple.model.contact import SelfContact
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.loads import LinearMotion, Prescribed
 from jaxcrumple.model.scene import sheet as scene_of
+from jaxcrumple.remesh import remeshed
 from jaxcrumple.scenes.custom_options import (
     AnyWall,
     Bend,
@@ -71,7 +73,7 @@ def custom(nodes: int = 1000, seed: int = 0, *, material: Material | None = None
 
 def _mesh(sheet: Square | Disc | FileSheet, nodes: int, seed: int) -> Mesh:
     if isinstance(sheet, FileSheet):
-        return Mesh.from_file(sheet.path, merge=sheet.merge, unit=sheet.unit)
+        return _of_file(sheet, nodes, seed)
     if isinstance(sheet, Disc):
         size, flat = 2.0 * sheet.radius, disc(sheet.radius, nodes, seed=seed, sweeps=sheet.sweeps)
     else:
@@ -79,6 +81,14 @@ def _mesh(sheet: Square | Disc | FileSheet, nodes: int, seed: int) -> Mesh:
     x = bent(flat.vertices[:, :2], sheet.bend)
     x[:, 2] += smooth_imperfection(flat.vertices[:, :2], size, sheet.imperfection, seed)
     return flat.with_rest_shape(x)
+
+
+def _of_file(sheet: FileSheet, nodes: int, seed: int) -> Mesh:
+    mesh = Mesh.from_file(sheet.path, merge=sheet.merge, unit=sheet.unit)
+    if sheet.remesh:
+        return remeshed(mesh, nodes, seed=seed)
+    warn_of_anisotropy(mesh, sheet.path)
+    return mesh
 
 
 def bent(points: FloatArray, bend: Bend | None) -> FloatArray:

@@ -124,14 +124,16 @@ class FileSheet(Table):
     """The surface in the file `path`, which trimesh or meshio reads: its rest shape as it is, curved or not.
 
     `unit` of all lengths in the file, metres by default; points up to `merge` in m apart become one.
-    `thickness`: the name of point data in the file with the thickness of each node in that unit. A path is
-    taken from the folder of the scene file.
+    `remesh`: fill the outline of a flat sheet with a random mesh of `nodes` nodes instead. `thickness`: the
+    name of point data in the file with the thickness of each node in that unit. A path is taken from the
+    folder of the scene file.
     """
 
     shape: Literal["file"]
     path: str
     unit: str | None = None
     merge: Annotated[Metre | None, Field(ge=0)] = None
+    remesh: bool = False
     thickness: str | None = None
     taper: Taper | None = None
 
@@ -160,6 +162,8 @@ class FileSheet(Table):
     def _one_thickness(self) -> "FileSheet":
         if self.thickness is not None and self.taper is not None:
             raise ValueError("thickness and taper both set the thickness; leave one out")
+        if self.thickness is not None and self.remesh:
+            raise ValueError("remesh leaves no node of the file that has the thickness; leave one out")
         return self
 
 
