@@ -1,11 +1,11 @@
-"""What a configuration will run, in words, before anything is compiled."""
+"""What a configuration will run, in words, before it runs."""
 
+from jaxcrumple.balance import Balance, start_balance
 from jaxcrumple.config import RunConfig
-from jaxcrumple.estimate import estimate
+from jaxcrumple.estimate import estimate, file_mesh, require_config
 from jaxcrumple.isotropy import patch_test
-from jaxcrumple.mesh import Mesh
+from jaxcrumple.memory import gigabytes, memory_limit
 from jaxcrumple.scenes import SCENES
-from jaxcrumple.start import check_start
 from jaxcrumple.state import initial_state
 
 
@@ -16,7 +16,7 @@ def described(config: RunConfig) -> list[str]:
 
     **Raises:** `MeshError` for a mesh file that cannot be used.
     """
-    mesh, options = _file_mesh(config), config.options
+    mesh, options = file_mesh(config), config.options
     nodes = config.nodes if mesh is None else mesh.n_nodes
     walls = SCENES[config.scene].walls(options)
     contact = options.get("contact") or "none: the sheet passes through itself"
@@ -34,21 +34,14 @@ def described(config: RunConfig) -> list[str]:
     ]
 
 
-def check_built(config: RunConfig) -> None:
-    """Build the scene, and refuse one from which no run can start.
+def check_built(config: RunConfig) -> Balance:
+    """Build the scene, evaluate energies and forces at its start, and refuse one from which no run can start.
 
-    **Raises:** ValueError with cause and cure.
+    **Raises:** ValueError with cause and cure, also for a run that surely exceeds the memory.
     """
+    require_config(config)
     setup = config.build()
-    check_start(setup.scene, initial_state(setup.scene, setup.x))
-
-
-def _file_mesh(config: RunConfig) -> Mesh | None:
-    """The mesh of a file, of which the sheet itself is made."""
-    sheet = config.options.get("sheet", {})
-    if sheet.get("shape") != "file" or sheet["remesh"]:
-        return None
-    return Mesh.from_file(sheet["path"], merge=sheet["merge"], unit=sheet["unit"])
+    return start_balance(setup.scene, initial_state(setup.scene, setup.x))
 
 
 def _material(config: RunConfig) -> str:
@@ -70,7 +63,11 @@ def _taken(config: RunConfig, nodes: int) -> str:
     guess = estimate(config, nodes)
     run = " to ".join(_duration(seconds) for seconds in guess.run)
     compiling = " to ".join(f"{seconds:.0f}" for seconds in guess.compiling)
-    return f"about {run} on one core, compiling {compiling} s, {guess.memory * 1e-9:.1f} GB (rough)"
+    memory = " to ".join(f"{size * 1e-9:.2g}" for size in guess.memory)
+    return (
+        f"about {run} on one core, compiling {compiling} s, {memory} GB of the {gigabytes(memory_limit())} "
+        "here (rough)"
+    )
 
 
 def _duration(seconds: float) -> str:

@@ -120,15 +120,24 @@ def check(
     seed: Seed = None,
     settings: Setting = None,
 ) -> None:
-    """Say what a scene or a scene file will run and what that takes, and build it. Nothing is compiled."""
+    """Say what a scene or a scene file will run and what that takes; build it and say what pushes its start.
+
+    No run is compiled, only the forces at the start.
+    """
     from jaxcrumple.check import check_built, described
 
     given = {"nodes": nodes, "t_end": t_end, "seed": seed}
     config = _asked(scene, settings, {key: value for key, value in given.items() if value is not None})
     for line in described(config):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
-    check_built(config)
-    console.print("starts: with room, clear of itself and its walls")
+    balance = check_built(config)
+    console.print(
+        "starts in balance, clear of itself and its walls"
+        if balance.in_balance
+        else "starts out of balance; the run begins with a motion that no load causes:"
+    )
+    for line in balance.lines:
+        console.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)
 
 
 def _is_file(scene: str) -> bool:

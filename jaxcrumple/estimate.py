@@ -1,12 +1,15 @@
-"""About how long a run takes, and how much memory: from what was measured, without compiling anything.
+"""About how long a run takes, and how much memory: from what was measured, before anything is built.
 
 Rough: runs of one size differ tenfold with how tightly a sheet is packed, and machines by as much as these
 measurements' dates do. The numbers are those of README.md, "Numbers", of one core.
 """
 
+from pathlib import Path
 from typing import NamedTuple
 
 from jaxcrumple.config import RunConfig
+from jaxcrumple.memory import require, require_run, run_bytes
+from jaxcrumple.mesh import Mesh
 
 # Time of a step with inertia of n = 1000 in s, and the power of n that it grows with ("Steps": 9 to 14 ms;
 # more with contact), in which all below is counted.
@@ -29,17 +32,14 @@ TOLERANCE, TOLERANCE_POWER = 1e-2, -0.31
 SCHEMES = {"alternating": 1.4, "paper": 20.0, "explicit": 20.0}
 # Compiling in s, least and most: of a phantom, and of a sheet that avoids itself ("Use").
 COMPILE, COMPILE_CONTACT = (10.0, 20.0), (40.0, 60.0)
-# Memory in bytes: of compiling a phantom and a sheet that avoids itself, more where lists of contact grow,
-# and for each node (`peak_memory_mb`: 1.3 GB at n = 1000, and 2.5 to 4.2 GB with contact).
-MEMORY, MEMORY_CONTACT, MEMORY_NODE = 1.1e9, 3.0e9, 8.5e4
 
 
 class Estimate(NamedTuple):
-    """Seconds of a run and of compiling before it, least and most, and peak memory in bytes."""
+    """Seconds of a run and of compiling before it, and peak memory in bytes, least and most."""
 
     run: tuple[float, float]
     compiling: tuple[float, float]
-    memory: float
+    memory: tuple[float, float]
 
 
 def estimate(config: RunConfig, nodes: int) -> Estimate:
@@ -50,5 +50,34 @@ def estimate(config: RunConfig, nodes: int) -> Estimate:
     step *= (config.solver.rtol / TOLERANCE) ** TOLERANCE_POWER
     least, most = (steps * config.t_end * step for steps in rate)
     compiling = COMPILE_CONTACT if touching else COMPILE
-    memory = MEMORY_NODE * nodes + (MEMORY_CONTACT if touching else MEMORY)
-    return Estimate((least, most), compiling, memory)
+    return Estimate((least, most), compiling, run_bytes(nodes, config.frames, touching))
+
+
+def file_mesh(config: RunConfig) -> Mesh | None:
+    """The mesh of a file that is the sheet of a configuration; None for a sheet that is generated.
+
+    **Raises:** `MeshError` for a mesh file that cannot be used, ValueError for one that exceeds the memory.
+    """
+    sheet = config.options.get("sheet", {})
+    if sheet.get("shape") != "file" or sheet["remesh"]:
+        return None
+    path = Path(sheet["path"])
+    if path.is_file():
+        require(path.stat().st_size, f"the mesh file {str(path)!r}", "give a coarser mesh")
+    return Mesh.from_file(path, merge=sheet["merge"], unit=sheet["unit"])
+
+
+def node_count(config: RunConfig) -> int:
+    """Number of nodes of a configuration's sheet. **Raises:** as `file_mesh`."""
+    mesh = file_mesh(config)
+    return config.nodes if mesh is None else mesh.n_nodes
+
+
+def require_config(config: RunConfig, runs: int = 1) -> None:
+    """Refuse a run, or so many `runs` of its kind side by side, that surely exceeds the memory, before any of
+    it is built.
+
+    **Raises:** as `file_mesh`, and ValueError with the estimate and the cure.
+    """
+    touching = config.options.get("contact") is not None
+    require_run(node_count(config), config.frames, touching, runs)

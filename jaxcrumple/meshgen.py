@@ -17,9 +17,11 @@ from typing import Protocol, SupportsIndex
 import numpy as np
 from scipy.spatial import Delaunay
 
+from jaxcrumple.memory import require
 from jaxcrumple.mesh import FloatArray, Mesh
 
 _ROW = math.sqrt(3) / 2  # height of a lattice row in units of the spacing
+_BYTES = 1000.0  # a node takes while a mesh is made, with its triangles, edges and hinges (1040 at 1e5)
 _INSET = _ROW / 2  # random nodes start at least so far from the boundary: its own nodes fill half a row
 
 
@@ -35,6 +37,7 @@ def hexagonal(nx: int, ny: int, spacing: float, *, reorder: bool = True) -> Mesh
     """
     nx, ny = whole_number("nx", nx, 2), whole_number("ny", ny, 1)
     spacing = _length("spacing", spacing)
+    _check_size(nx * (ny + 1), "nx or ny")
     i, j = np.meshgrid(np.arange(nx), np.arange(ny + 1))
     x = (i + 0.5 * (j % 2) - (nx - 0.5) / 2) * spacing
     y = (j - ny / 2) * (_ROW * spacing)
@@ -158,6 +161,7 @@ def _random_mesh(domain: _Domain, nodes: SupportsIndex, seed: SupportsIndex, swe
         whole_number("seed", seed, 0),
         whole_number("sweeps", sweeps, 0),
     )
+    _check_size(nodes, "nodes")
     spacing = lattice_spacing(domain.area, domain.perimeter, nodes)
     fixed = domain.boundary(spacing)
     if len(fixed) >= nodes:
@@ -229,6 +233,10 @@ def whole_number(name: str, value: SupportsIndex, least: int) -> int:
     if count < least:
         raise ValueError(f"{name} = {count} is too small; give at least {least}")
     return count
+
+
+def _check_size(nodes: int, name: str) -> None:
+    require(_BYTES * nodes, f"a mesh of {nodes} nodes", f"give a smaller {name}")
 
 
 def _length(name: str, value: float) -> float:

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from jaxcrumple.config import ConfigError, RunConfig
+from jaxcrumple.estimate import require_config
 from jaxcrumple.io import RunDirectory, RunDirectoryError, load_checkpoint, sheet_fields, write_vtkhdf
 from jaxcrumple.io.frames import Stiffness
 from jaxcrumple.io.lock import writing
@@ -83,6 +84,7 @@ def start_run(
     """
     solver = config.solver.build()
     RunDirectory.check_free(out)
+    require_config(config)
     setup = config.build()
     state = initial_state(setup.scene, setup.x, ledger=config.solver.ledger)
     check_start(setup.scene, state)
@@ -165,6 +167,7 @@ def _built_again(config: RunConfig, folder: RunDirectory, *, mesh: bool = True) 
 
     **Raises:** ValueError if they are not those that the run began with.
     """
+    require_config(config)
     setup = config.build()
     other = first_difference(folder.built, sketch_scene(setup.scene, setup.x))
     if mesh and not _same_mesh(folder.load_mesh(), setup.mesh):

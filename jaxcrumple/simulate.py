@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
+from jaxcrumple.memory import require, require_run
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.programs import make_room
@@ -132,12 +133,14 @@ def simulate(
       solved further than usual, and it keeps positions (n, 3) for each step.
 
     **Raises:** ValueError for times that are not finite, not increasing or before the state's, for a
-    state of another scene or what is not a solver, and for a sheet that starts behind a wall or, in a scene
-    with contact, passes through itself.
+    state of another scene or what is not a solver, for frames that surely exceed the memory, and for a start
+    from which no run can proceed: behind a wall, with a hinge at 180 degrees or, in a scene with contact,
+    passing through itself.
     """
     check_state(scene, state)
     check_start(scene, state)
     stops = checked_times(times, first_frame, float(state.t))
+    require_run(scene.n_nodes, len(stops) - first_frame, scene.contact is not None)
     solver = integrator() if solver is None else solver
     if not isinstance(solver, Integrator):
         raise ValueError(f"solver = {solver!r} must be what jaxcrumple.integrator(rtol, scheme=...) makes.")
@@ -184,6 +187,7 @@ def frame_times(t_end: float, frames: int) -> np.ndarray:
         raise ValueError(f"t_end = {t_end!r} s must be a positive time.")
     if frames < 1:
         raise ValueError(f"frames = {frames!r} must be at least 1.")
+    require(8.0 * frames, f"a list of {frames} frame times", "choose fewer frames")
     return np.linspace(0.0, t_end, frames + 1)
 
 

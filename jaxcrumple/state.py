@@ -8,6 +8,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from jaxcrumple.memory import require
 from jaxcrumple.model.contact import Contact
 from jaxcrumple.model.fields import is_known
 from jaxcrumple.model.near import Around, nowhere
@@ -251,6 +252,7 @@ def initial_state(
     """
     if window < 1:
         raise ValueError(f"window = {window!r} must be at least 1 step.")
+    require(8.0 * window, f"a monitor of {window} steps", "choose a shorter window")
     x = jnp.asarray(x, float)
     v = jnp.zeros_like(x) if v is None else jnp.asarray(v, float)
     for name, value in (("x", x), ("v", v)):

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from folded import folded, strip
 
 from jaxcrumple import (
     LinearMotion,
@@ -223,13 +222,3 @@ def test_states_of_phantoms_and_of_sheets_with_contact_are_told_apart():
     lost = eqx.tree_at(lambda s: s.x, states[1], states[1].x.at[7].set(jnp.nan))
     with pytest.raises(ValueError, match="the state's x of node 7 is"):
         simulate(made[1], lost, 0.1)
-
-
-def test_layers_that_start_in_one_another_are_refused():
-    mesh = strip(1e-3)
-    made = sheet(mesh, Material(), contact=SelfContact(range=5e-4, level=2))
-    flat = folded(mesh, 1e-3) * [1.0, 1.0, 0.0]
-    with pytest.raises(
-        ValueError, match=r"the sheet starts .* m from itself; contact of range 0.0005 m needs"
-    ):
-        simulate(made, initial_state(made, flat), 0.1)

@@ -189,7 +189,7 @@ def test_check_says_what_will_run(file):
     ):
         assert line in result.output.splitlines()
     assert "rough" in result.output
-    assert result.output.splitlines()[-1] == "starts: with room, clear of itself and its walls"
+    assert result.output.splitlines()[-1] == "starts in balance, clear of itself and its walls"
 
 
 def test_the_configuration_of_a_loaded_run_is_written_as_a_file(tmp_path):

@@ -176,7 +176,7 @@ class Evaluations:
         text = path.read_text(errors="replace") if path.exists() else ""
         if not text:
             mark = fingerprint(self.experiment, self.decoded(start), self.solver)
-            header = {"fit": self.scales, "u": list(start), "fingerprint": mark}
+            header: dict[str, Any] = {"fit": self.scales, "u": list(start), "fingerprint": mark}
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
             except OSError as error:

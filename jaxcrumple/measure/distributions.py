@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxcrumple.measure.creases import DAMAGE, damaged, hinge_angles, mean_curvature
+from jaxcrumple.memory import require
 from jaxcrumple.mesh import FloatArray, Mesh
 
 
@@ -33,6 +34,7 @@ def fold_angle_distribution(
         raise ValueError(
             f"no rest curvature moved by more than {threshold}; lower the threshold or fold more"
         )
+    _check_bins(bins)
     if np.ndim(bins) == 0:
         bins = np.linspace(-np.pi, np.pi, int(bins) + 1)  # type: ignore[arg-type]
     return _histogram(hinge_angles(mesh, x)[creases], mesh.hinge_length[creases], bins)
@@ -49,7 +51,14 @@ def curvature_distribution(mesh: Mesh, x: ArrayLike, *, bins: int | ArrayLike = 
     return _histogram(mean_curvature(mesh, x), mesh.node_area, bins)
 
 
+def _check_bins(bins: int | ArrayLike) -> None:
+    if np.ndim(bins) == 0:
+        count = float(bins)  # type: ignore[arg-type]
+        require(24.0 * count, f"a distribution of {count:.4g} bins", "choose fewer")
+
+
 def _histogram(values: FloatArray, weights: FloatArray, bins: int | ArrayLike) -> Distribution:
+    _check_bins(bins)
     edges = np.histogram_bin_edges(values, bins)  # type: ignore[arg-type]
     if values.min() < edges[0] or values.max() > edges[-1]:
         raise ValueError(

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from jaxcrumple.memory import require
 from jaxcrumple.mesh import FloatArray, Mesh
 
+_BYTES = 60.0  # of a pixel or a point of a line, with copies
 _SUBDIVISION = 4  # a triangle is seen at the centres of its 4 x 4 parts
 
 
@@ -24,8 +26,10 @@ class Raster(NamedTuple):
     def over(cls, mesh: Mesh, pixel: float) -> Raster:
         """Pixels of side `pixel` in m over the sheet, with a margin of at least one."""
         low, high = mesh.vertices[:, :2].min(axis=0), mesh.vertices[:, :2].max(axis=0)
-        columns, rows = np.ceil((high - low) / pixel).astype(int) + 3
-        return cls(low - pixel, pixel, (rows, columns))
+        columns, rows = np.ceil((high - low) / pixel) + 3.0
+        what = f"an image of {columns:.4g} x {rows:.4g} pixels"
+        require(_BYTES * columns * rows, what, "choose a larger width")
+        return cls(low - pixel, pixel, (int(rows), int(columns)))
 
     def pixels(self, points: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Rows and columns (...) of the pixels nearest to `points` (..., 2) in m."""
@@ -47,7 +51,10 @@ class Raster(NamedTuple):
         **Returns:** their rows, columns, and the line that each belongs to.
         """
         longest = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).max(initial=0.0)
-        count = int(np.ceil(2 * longest / self.pixel)) + 1
+        points = np.ceil(2 * longest / self.pixel) + 1.0
+        what = f"an image of {len(ends)} lines of up to {points:.4g} points each"
+        require(_BYTES * points * len(ends), what, "choose a larger width")
+        count = int(points)
         s = (np.arange(count) + 0.5)[:, None] / count
         rows, columns = self.pixels(ends[:, None, 0] * (1 - s) + ends[:, None, 1] * s)
         return rows.ravel(), columns.ravel(), np.repeat(np.arange(len(ends)), count)

@@ -9,7 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxcrumple.measure.strain import positions
+from jaxcrumple.memory import require
 from jaxcrumple.mesh import FloatArray, Mesh
+
+_BYTES = 24.0  # of a triangle in a shell, with copies
 
 
 def center_of_mass(mesh: Mesh, x: ArrayLike) -> FloatArray:
@@ -31,8 +34,15 @@ def shell_areas(mesh: Mesh, x: ArrayLike, radii: ArrayLike) -> FloatArray:
     radii = np.asarray(radii, dtype=np.float64)
     if radii.ndim != 1 or len(radii) < 2 or not (radii[0] >= 0 and np.all(np.diff(radii) > 0)):
         raise ValueError("radii do not bound shells; give two or more in metres, ascending from 0 or more")
+    require_shells(mesh, len(radii) - 1)
     corners = (positions(mesh, x) - center_of_mass(mesh, x))[mesh.faces]
     return np.diff(area_within(corners, radii), axis=1)
+
+
+def require_shells(mesh: Mesh, shells: int) -> None:
+    """Refuse more shells than memory holds. **Raises:** ValueError."""
+    what = f"a table of {len(mesh.faces)} triangles in {shells} shells"
+    require(_BYTES * len(mesh.faces) * shells, what, "choose fewer shells")
 
 
 def radial_profile(mesh: Mesh, x: ArrayLike, values: ArrayLike, radii: ArrayLike) -> FloatArray:

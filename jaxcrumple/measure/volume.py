@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxcrumple.measure.shells import center_of_mass, shell_areas
+from jaxcrumple.measure.shells import center_of_mass, require_shells, shell_areas
 from jaxcrumple.measure.strain import positions
 from jaxcrumple.mesh import FloatArray, Mesh
 
@@ -44,6 +44,7 @@ def volume_fraction(mesh: Mesh, x: ArrayLike, thickness: float, *, shells: int =
         raise ValueError(f"thickness = {thickness!r} is not usable; give one positive number in metres")
     if shells < 1:
         raise ValueError(f"shells = {shells!r} is not usable; give the number of shells, 1 or more")
+    require_shells(mesh, shells)
     r0 = np.linalg.norm(positions(mesh, x) - center_of_mass(mesh, x), axis=1).max()
     radii = np.linspace(0.0, r0, shells + 1)
     filled = thickness * shell_areas(mesh, x, radii).sum(axis=0)

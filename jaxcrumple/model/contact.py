@@ -35,7 +35,7 @@ from jaxcrumple.model.crossing import crosses
 from jaxcrumple.model.fans import DUE_TURN, Fans, build_fans, largest_turn
 from jaxcrumple.model.fields import as_float, is_known
 from jaxcrumple.model.near import Candidates, Near, no_candidates, no_neighbors
-from jaxcrumple.model.sites import build_sites, site_density
+from jaxcrumple.model.sites import build_sites, require_candidates, require_sites, site_density
 from jaxcrumple.model.stencil import upper_pairs
 
 Potential = Literal["penalty", "barrier"]
@@ -183,14 +183,19 @@ class Contact(eqx.Module):
 
         return product
 
-    @eqx.filter_jit
     def gaps(self, x: Array) -> tuple[Array, Array]:
         """Smallest distance in m of two interacting sites (infinite if none), and how many there are."""
+        return self.nearest(x)[:2]
+
+    @eqx.filter_jit
+    def nearest(self, x: Array) -> tuple[Array, Array, Array]:
+        """As `gaps`, and the place in `Near.triangles` of the pair with the smallest distance."""
         near = self.near
         pairs = site_pairs(self, near.picked, jnp.arange(near.room.pairs) < near.site_count)
         _, distance = separation(pairs, x)
         pushing = (pairs.strength > 0) & (distance < self.range)
-        return jnp.min(jnp.where(pushing, distance, jnp.inf)), jnp.sum(pushing)
+        gaps = jnp.where(pushing, distance, jnp.inf)
+        return jnp.min(gaps), jnp.sum(pushing), pairs.owner[jnp.argmin(gaps)]
 
     def _closer(self, distance: Array) -> Array:
         """What motion may leave of distances: no less than halfway to where a barrier is infinite."""
@@ -270,8 +275,8 @@ def build_contact(
     """Contact of a sheet; its stiffness is the mean spring constant. Its refinement and lists are those of
     `like`, where there is such.
 
-    **Raises:** ValueError for an unknown potential, a range that is not positive or a level below 0, or a
-    range that JAX traces where nothing tells the level.
+    **Raises:** ValueError for an unknown potential, a range that is not positive or a level below 0, a range
+    that JAX traces where nothing tells the level, or sites or pairs of triangles that exceed the memory.
     """
     sigma = constants.sigma if options.range is None else options.range
     if options.potential not in get_args(Potential):
@@ -288,6 +293,8 @@ def build_contact(
                 "once with plain numbers, and give it as `like`."
             )
         level = _level(mesh, sigma, options)
+        require_sites(len(mesh.faces), level, float(sigma), chosen=options.level is not None)
+        require_candidates(mesh, float(sigma))
         sites, fans, chart = build_sites(level), build_fans(mesh), build_chart(mesh)
         weights, share, place = map(jnp.asarray, sites)
         candidates = no_candidates(mesh.n_nodes, len(mesh.hinges), len(fans.triangles))

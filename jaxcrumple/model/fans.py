@@ -7,8 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxcrumple.memory import require
 from jaxcrumple.mesh import Mesh
 
+# Bytes of a way around a node while it is found, and of a hinge in the table of all nodes.
+WAY, ENTRY = 200.0, 12.0
 # Two sites on triangles that share a node come nearer than half of their distance at rest only if the sheet
 # between them turns by 120 degrees: a polygon's chord is at least its length times the cosine of half its
 # turning (Schur), and the rest is room for stretching. Folds are listed from LISTED_TURN on; those that are
@@ -51,7 +54,16 @@ def build_fans(mesh: Mesh) -> Fans:
     """All ways around every node; one of half a turn or more, which no straight line takes, crosses nothing.
 
     Meshes of the same connectivity have fans of the same size.
+
+    **Raises:** ValueError for so many triangles at a node that the ways around it exceed the memory.
     """
+    valence = np.bincount(mesh.faces.ravel()).astype(float)
+    node, most = int(np.argmax(valence)), float(valence.max())
+    require(
+        WAY * float(np.sum(valence * (valence - 1.0))) + ENTRY * 2.0 * most * len(valence),
+        f"contact at {int(most)} triangles around node {node}",
+        "remesh around that node, or choose no contact",
+    )
     fans = list(_fans(mesh, _corner_angles(mesh)))
     hinge_of = _hinge_table(mesh)
     width = 2 * max(len(fan) for fan, _, _ in fans)

@@ -4,6 +4,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from jaxcrumple.memory import memory_limit, require
+
+# Bytes of a pair of a segment and a triangle that is looked at.
+PAIR = 60.0
+
 
 def intersections(x: ArrayLike, faces: ArrayLike, edges: ArrayLike) -> np.ndarray:
     """Edges that pierce a triangle with which they share no node.
@@ -30,7 +35,12 @@ def close_pairs(ends: np.ndarray, corners: np.ndarray) -> np.ndarray:
     first, last = ends.min(axis=1), ends.max(axis=1)
     center, middle = 0.5 * (low + high), 0.5 * (first + last)
     reach = 0.5 * (np.linalg.norm(high - low, axis=1).max() + np.linalg.norm(last - first, axis=1).max())
-    near = cKDTree(middle).sparse_distance_matrix(cKDTree(center), reach, output_type="ndarray")
+    segments, triangles = cKDTree(middle), cKDTree(center)
+    if PAIR * len(ends) * len(corners) > memory_limit():
+        pairs = float(segments.count_neighbors(triangles, reach))
+        what = f"the search among {pairs:.2g} pairs of segments and triangles, up to {reach:.3g} m apart,"
+        require(PAIR * pairs, what, "give triangles of more equal size, or shorter chords")
+    near = segments.sparse_distance_matrix(triangles, reach, output_type="ndarray")
     edge, face = near["i"], near["j"]
     overlap = np.all((low[face] <= last[edge]) & (first[edge] <= high[face]), axis=1)
     return np.stack([edge[overlap], face[overlap]], axis=1)

@@ -3,10 +3,13 @@
 import jax.numpy as jnp
 import numpy as np
 
+from jaxcrumple.memory import require, require_indices
 from jaxcrumple.model.cross import SIZE, Merged
 from jaxcrumple.model.near import NONE, SOON, doubled, pair_key
 from jaxcrumple.model.pattern import Pattern, scalar_entries
 
+# Bytes of an entry of a pair of triangles.
+BYTES = 8.0
 # Room for entries that a pair adds, of 81: it has most of its blocks in common with other pairs.
 ENTRIES = 10
 
@@ -41,6 +44,10 @@ class Merger:
         if spare * needed > capacity:
             capacity = doubled(capacity, int(SOON * needed))
         room = self.nnz + ENTRIES * capacity
+        what = f"the matrix of a direct solver, with room for {capacity} pairs of triangles that touch,"
+        cure = "choose linear = 'two-level', or resume with a coarser mesh"
+        require_indices(max(room, SIZE * capacity), what, cure)
+        require(BYTES * SIZE * capacity, what, cure)
         entries[entries == nnz] = room
         place = np.empty(self.nnz, np.int32)
         place[self.order] = entries[np.searchsorted(keys, self.keys)].reshape(-1)[self.upper]

@@ -7,9 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxcrumple.memory import require, require_indices
 from jaxcrumple.model.coarse import CoarseSpace, build_coarse_space
 from jaxcrumple.model.cross import Cross
 from jaxcrumple.model.stencil import upper_pairs
+
+# Bytes of an entry of the tangent while the pattern is built.
+ENTRY = 40.0
 
 
 class Pattern(eqx.Module):
@@ -108,6 +112,8 @@ def build_pattern(
 
     `rest` (n, 3): the nodes' rest positions in m, over which the coarse space is laid. `faces` (f, 3):
     triangles that may touch; their edges must be among the stencils.
+
+    **Raises:** ValueError for more entries than memory or 32-bit indices hold.
     """
     n = len(rest)
     pairs = [_global_pairs(stencil) for stencil in stencils]
@@ -115,6 +121,7 @@ def build_pattern(
     rows, cols = np.concatenate([own, *(p.reshape(-1, 2) for p in pairs)]).T
     keys = np.unique(np.minimum(rows, cols).astype(np.int64) * n + np.maximum(rows, cols))
     block_row, block_col = keys // n, keys % n
+    _check_size(n, block_row, block_col)
     entries, counts = scalar_entries(n, block_row, block_col)
     indptr = np.concatenate([[0], np.cumsum(counts)])
     order = np.repeat(np.arange(3 * n), counts)
@@ -142,6 +149,16 @@ def build_pattern(
         build_coarse_space(rest, np.stack([block_row, block_col], axis=1)),
         None if faces is None else _no_contact(locate, np.asarray(faces)),
     )  # fmt: skip
+
+
+def _check_size(n: int, block_row: np.ndarray, block_col: np.ndarray) -> None:
+    """Refuse a tangent that is too large, or rows that are as long as one node's with too many neighbours."""
+    neighbors = np.bincount(block_row, minlength=n) + np.bincount(block_col, minlength=n) - 1
+    node, longest = int(np.argmax(neighbors)), float(neighbors.max())
+    what, fewer = f"the tangent of {n} nodes", "give a mesh of fewer nodes"
+    cure = f"{fewer}, or remesh around node {node}, which is coupled to {int(longest)}"
+    require_indices(max(9.0 * len(block_row), 9.0 * n * longest), what, cure)
+    require(ENTRY * 9.0 * len(block_row) + 16.0 * 9.0 * n * longest, what, cure)
 
 
 def _no_contact(locate, faces: np.ndarray) -> Cross:

@@ -1,11 +1,20 @@
-"""The lattice of sites on every triangle (Fig. 2), and for how much a site counts."""
+"""The lattice of sites on every triangle (Fig. 2), for how much a site counts, and what sites take."""
 
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial import cKDTree
 
+from jaxcrumple.memory import memory_limit, require, require_indices
 from jaxcrumple.mesh import Mesh
+
+# Bytes: of a site of one triangle while the lattice is built, of a pair of sites in the lists and their
+# copies, and of a pair of triangles in the search for candidates.
+SITE, PAIR, CANDIDATE = 200.0, 90.0, 100.0
+# Pairs of sites in the lists for each site of the sheet: where it touches itself along a few folds, and in a
+# dense crumple, with the room that lists keep (0.36 in a crumple to a third of its size, n = 1000).
+PAIRS = (0.01, 0.5)
 
 
 class Sites(NamedTuple):
@@ -20,7 +29,8 @@ class Sites(NamedTuple):
 def build_sites(level: int) -> Sites:
     """Sites of a refinement `level`: as many on an edge between its ends (Fig. 2), corners included."""
     parts = level + 1
-    i, j = np.array([(i, j) for i in range(parts + 1) for j in range(parts + 1 - i)]).T
+    i = np.repeat(np.arange(parts + 1), np.arange(parts + 1, 0, -1))
+    j = np.concatenate([np.arange(parts + 1 - row) for row in range(parts + 1)])
     corners = np.stack([i, j, parts - i - j], axis=1)
     # A third of each of the small triangles around a site, of which a corner has 1, a side 3, the inside 6.
     zeros = np.sum(corners == 0, axis=1)
@@ -41,3 +51,47 @@ def site_density(mesh: Mesh, sigma: Any) -> Any:
     ends = np.isin(mesh.faces, mesh.boundary_nodes)
     factor[:, 4:] = np.where(ends, 6.0 / valence[mesh.faces], 1.0)
     return jnp.asarray(factor * (mesh.face_area / (np.sqrt(3.0) / 2.0))[:, None] / sigma**2)
+
+
+def require_sites(faces: int, level: int, sigma: float, *, chosen: bool) -> None:
+    """Refuse more sites than memory holds, before any is made; warn where a dense crumple may need too much.
+
+    **Arguments:** `faces` of the sheet; refinement `level`, which was `chosen` or follows from the range
+    `sigma` in m.
+
+    **Raises:** ValueError with an estimate and the level or the range that fits.
+    """
+    own = (level + 2.0) * (level + 3.0) / 2.0
+    least, most = (SITE * own + PAIR * share * own * faces for share in PAIRS)
+    what = f"contact of range {sigma:.3g} m at level {level}, with {own * faces:.2g} sites on the sheet,"
+    fitting = np.sqrt(memory_limit() / least)
+    if chosen:
+        cure = f"choose a contact level of at most {max(int(fitting * (level + 2)) - 3, 0)}"
+    else:
+        fits = _rounded_up(sigma / fitting)
+        cure = f"choose a contact range, by default the thickness, of at least {fits} m, or no contact"
+    require(least, what, cure, most)
+    require_indices(own, what, cure)
+
+
+def require_candidates(mesh: Mesh, sigma: float) -> None:
+    """Refuse a range `sigma` in m, or a mesh, by which more triangles are near one another than memory holds.
+
+    **Raises:** ValueError with an estimate.
+    """
+    faces = len(mesh.faces)
+    if CANDIDATE * faces**2 < memory_limit():
+        return
+    corners = mesh.vertices[mesh.faces]
+    center = corners.mean(axis=1)
+    widest = 2.0 * float(np.linalg.norm(corners - center[:, None], axis=2).max())
+    tree = cKDTree(center)
+    pairs = (float(tree.count_neighbors(tree, widest + sigma)) - faces) / 2.0
+    cure = "give triangles of more equal size" if widest > sigma else "choose a smaller contact range"
+    require(CANDIDATE * pairs, f"the search for {pairs:.2g} pairs of triangles that may meet", cure)
+
+
+def _rounded_up(value: float) -> str:
+    """Two digits, not below the value."""
+    unit = 10.0 ** (np.floor(np.log10(value)) - 1)
+    return f"{np.ceil(value / unit) * unit:.2g}"

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxcrumple.memory import require
 from jaxcrumple.mesh import FloatArray, Mesh
 from jaxcrumple.model.confinement import AbstractShape, Corners, Cylinder, Plane, of_time
 from jaxcrumple.model.loads import ElementEnergy
@@ -124,6 +125,7 @@ def axial(
     """
     if cycles < 1:
         raise ValueError(f"cycles = {cycles!r} must be at least 1.")
+    require(1000.0 * cycles, f"a motion of {cycles} cycles", "choose fewer")
     times = AxialTimes(roll, compress, open, unfold, flatten, rest)
     sheet = SheetOptions(**options).reaching(RANGE)
     check_positive(size=size, radius=radius, height=height, gap=gap, **times._asdict())

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxcrumple.material import Material
+from jaxcrumple.memory import require
 from jaxcrumple.mesh import FloatArray, Mesh
 from jaxcrumple.meshgen import disc, rectangle
 from jaxcrumple.model.confinement import AbstractShape
@@ -18,6 +19,8 @@ from jaxcrumple.scenes.setup import Setup
 
 # Shortest wavelength of the initial imperfection in m, and how many modes each way it has at most.
 IMPERFECTION_WAVELENGTH = 0.02
+# Bytes that a mode takes.
+MODE = 40.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,9 +104,17 @@ class SheetOptions:
 def smooth_imperfection(points: np.ndarray, size: float, amplitude: float, seed: int) -> np.ndarray:
     """Random height (n,) of the `points` (n, 2) within a square of edge `size` in m, largest value
     `amplitude`: modes no shorter than 2 cm, or the longest one where all are."""
+    if amplitude == 0.0:
+        return np.zeros(len(points))
     rng = np.random.default_rng([seed, 1])
     # One wave across and one along is the least there is.
     highest = max(int(2.0 * size / IMPERFECTION_WAVELENGTH), 2)
+    require(
+        MODE * float(highest) ** 2 + 32.0 * len(points) * highest,
+        f"an imperfection of {float(highest) ** 2:.2g} modes of {IMPERFECTION_WAVELENGTH:g} m on a sheet of "
+        f"{size:g} m",
+        "choose imperfection = 0, or check that the size is in metres",
+    )
     waves = np.arange(1, highest + 1)
     x, y = (np.cos(np.pi * np.outer(points[:, i] / size + 0.5, waves)) for i in range(2))
     weights = rng.normal(size=(highest, highest))

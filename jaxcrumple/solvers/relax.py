@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxcrumple.memory import require_run
 from jaxcrumple.model.fields import as_float, is_known
 from jaxcrumple.model.near import motion
 from jaxcrumple.model.scene import Scene
@@ -74,8 +75,9 @@ def relax(
     **Arguments:** `force_tolerance`: largest net force in N on any free node at the end; `linear`: a linear
     solver or its name; `max_iterations`: linear solves.
 
-    **Raises:** ValueError for a tolerance that is not positive, a state of another scene, or a sheet that
-    starts behind a wall or, in a scene with contact, passes through itself.
+    **Raises:** ValueError for a tolerance that is not positive, a state of another scene, or a start from
+    which no run can proceed: behind a wall, with a hinge at 180 degrees or, in a scene with contact, passing
+    through itself.
     """
     if not force_tolerance > 0:
         raise ValueError(f"force_tolerance = {force_tolerance!r} N must be positive.")
@@ -86,6 +88,7 @@ def relax(
     tolerance, left = as_float(force_tolerance), jnp.asarray(max_iterations)
     known = is_known(x, scene.mass)
     if known:
+        require_run(scene.n_nodes, 0, scene.contact is not None)
         check_start(scene, state)
     if known and scene.contact is not None:
         return _relax_apart(scene, state, tolerance, solver, left)

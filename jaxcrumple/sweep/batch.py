@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh as DeviceMesh
 
+from jaxcrumple.memory import require
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.programs import make_room
 from jaxcrumple.renewal import batch_with_contacts
@@ -20,6 +21,9 @@ from jaxcrumple.sweep.cases import Case, blamed
 from jaxcrumple.sweep.lanes import AXIS, Inputs, differing, lane, lanes_of, spread, stacked
 from jaxcrumple.sweep.table import Frames, Measure, Outcome, Tell
 from jaxcrumple.threads import limited_blas
+
+# Bytes of a node in a lane, as a scene and a state.
+LANE = 6e3
 
 
 def run_batch(
@@ -58,7 +62,9 @@ class _Batch:
 
     def __init__(self, cases: Sequence[Case], times: np.ndarray, max_attempts: float, devices):
         self.times, self.max_attempts = times, max_attempts
-        self.setups = [case.build() for case in cases]
+        self.setups = [cases[0].build()]
+        _check_size(len(cases), self.setups[0].mesh.n_nodes)
+        self.setups += [case.build() for case in cases[1:]]
         states = [initial_state(setup.scene, setup.x) for setup in self.setups]
         self.solvers = [case.solver for case in cases]
         for case, setup, state in zip(cases, self.setups, states, strict=True):
@@ -145,6 +151,12 @@ class _Batch:
         if np.any(which):
             given = jax.vmap(lambda here, old: RESULTS.where(here, result, old))(which, self.states.result)
             self.states = eqx.tree_at(lambda s: s.result, self.states, given)
+
+
+def _check_size(lanes: int, nodes: int) -> None:
+    """Refuse more lanes than memory holds."""
+    what = f"a batch of {lanes} lanes of {nodes} nodes"
+    require(LANE * lanes * nodes, what, "give fewer cases or nodes, or take backend='processes'")
 
 
 def _listed(cases: Sequence[Case], scenes: Sequence[Scene], states: Sequence[State]) -> list[Scene]:

@@ -9,11 +9,14 @@ import pandas as pd
 from distributed import Client
 
 from jaxcrumple.config import ConfigError, RunConfig
+from jaxcrumple.estimate import require_config
 from jaxcrumple.io import RunDirectory, RunDirectoryError
 from jaxcrumple.io.atomic import refusal, write_bytes
 from jaxcrumple.io.lock import writing
 from jaxcrumple.io.rundir import is_run
 from jaxcrumple.run import resume_run, start_run, stored_config
+from jaxcrumple.start import check_start
+from jaxcrumple.state import initial_state
 from jaxcrumple.sweep.cases import blamed
 from jaxcrumple.sweep.cluster import Cluster, connected, run_all
 from jaxcrumple.sweep.table import Tell
@@ -145,6 +148,8 @@ def _flat(config: RunConfig) -> dict[str, Any]:
 
 
 def _check(name: str, config: RunConfig) -> None:
-    """Build a run and drop it."""
+    """Build a run, refuse a start from which it cannot proceed, and drop it."""
     with blamed(name):
-        config.build()
+        require_config(config)
+        setup = config.build()
+        check_start(setup.scene, initial_state(setup.scene, setup.x))

@@ -2,6 +2,7 @@
 
 import inspect
 import itertools
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, NamedTuple
@@ -9,11 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxcrumple.config import ConfigError, RunConfig, configure
+from jaxcrumple.memory import require
 from jaxcrumple.scenes import Setup
 from jaxcrumple.solvers.scheme import Integrator, integrator
 
 Scenes = str | Callable[..., Setup]
 Grid = dict[str, list[Any]]
+# Bytes of a case: its values, configuration and solver.
+CASE = 2e4
 
 
 class Case(NamedTuple):
@@ -85,6 +89,8 @@ def checked_grid(over: Mapping[str, Iterable[Any]], settings: Mapping[str, Any])
                 )
         if len(set(values)) < len(values):
             raise ValueError(f"over[{key!r}] = {values} has a value twice; leave one out.")
+    count = math.prod(map(len, found.values()))
+    require(CASE * count, f"a grid of {count:.3g} cases", "give fewer values to vary")
     return found
 
 
