@@ -242,11 +242,11 @@ def _ended(setup: Setup, state: State) -> Ending:
 
 def export(folder: RunDirectory, name: str = FILM) -> Path | None:
     """Write the film for ParaView from the saved frames, if there are any; its path."""
-    frames = folder.load_frames()
-    if not frames:
+    if not folder.frames():
         return None
     mesh = folder.load_mesh()
-    write_vtkhdf(folder.path / name, mesh, frames, *sheet_fields(mesh, *folder.load_stiffness()))
+    fields = sheet_fields(mesh, *folder.load_stiffness())
+    write_vtkhdf(folder.path / name, mesh, folder.load_frames(), *fields)
     return folder.path / name
 
 

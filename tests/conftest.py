@@ -38,6 +38,12 @@ def _forgotten_programs():
     jax.clear_caches()
 
 
+@pytest.fixture(autouse=True)
+def _enough_memory(monkeypatch):
+    """Estimates of memory are held against the same limit on all machines."""
+    monkeypatch.setattr("jaxcrumple.memory.memory_limit", lambda: 64 * 10**9)
+
+
 @pytest.fixture
 def kept_figures(monkeypatch):
     """A function that keeps the figures which a module of pictures saves, to look at their parts."""

@@ -381,7 +381,7 @@ def test_a_full_disk_ends_the_run_and_spoils_nothing(small_disk, finished, free)
     with pytest.raises(RunDirectoryError, match=r"No space left on device; free some space .* is intact"):
         start_run(CONFIG, folder)
     opened = RunDirectory.open(folder)
-    saved = opened.load_frames()
+    saved = list(opened.load_frames())
     assert len(saved) >= 1
     assert opened.read_summary() == {}
     assert not list(folder.rglob("*.tmp"))

@@ -11,6 +11,7 @@ import pandas as pd
 
 from jaxcrumple.io.atomic import RunDirectoryError
 from jaxcrumple.io.rundir import RunDirectory
+from jaxcrumple.memory import FRAME, require
 from jaxcrumple.mesh import FloatArray, Mesh
 
 # Times that a folder is read again where it changed meanwhile.
@@ -61,11 +62,14 @@ def load(path: str | Path) -> Run:
 
 
 def _read(folder: RunDirectory) -> Run:
-    frames = folder.load_frames()
-    if not frames:
+    count = len(folder.frames())
+    if count == 0:
         why = "ended before its first frame" if folder.finished else "has no frames yet; wait for the first"
         raise RunDirectoryError(f"run {str(folder.path)!r} {why}")
     mesh = folder.load_mesh()
+    what = f"a run of {mesh.n_nodes} nodes with {count} frames"
+    require(FRAME * mesh.n_nodes * count, what, "read frames one by one with RunDirectory.load_frames")
+    frames = list(folder.load_frames())
     return Run(
         t=np.array([frame.t for frame in frames]),
         x=np.stack([frame.x for frame in frames]),

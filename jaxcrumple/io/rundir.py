@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -199,12 +199,12 @@ class RunDirectory:
         """Stiffness of the edges (e,) in N/m and of the hinges (h,) in J."""
         return unpack_mesh(self.path / MESH, self.read(MESH))[1]
 
-    def load_frames(self) -> list[Frame]:
-        """All frames."""
+    def load_frames(self) -> Iterator[Frame]:
+        """All frames, one after the other."""
         table = self._read_table(self._frames)
-        rows = zip(table["index"], table["size"], table["sha256"], strict=True)
-        names = [(frame_name(index), Entry(size, str(sha))) for index, size, sha in rows]
-        return [unpack_frame(self.path / name, self.read(name, entry)) for name, entry in names]
+        for index, size, sha in zip(table["index"], table["size"], table["sha256"], strict=True):
+            name = frame_name(index)
+            yield unpack_frame(self.path / name, self.read(name, Entry(size, str(sha))))
 
     def read_history(self) -> pd.DataFrame:
         """The history as a table."""

@@ -1,10 +1,13 @@
 """What a run leaves behind for its replay."""
 
+import warnings
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxcrumple.memory import gigabytes, memory_limit
 from jaxcrumple.model.near import Near, doubled, no_neighbors
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.replay.contacts import Lists, make_lists
@@ -21,6 +24,8 @@ from jaxcrumple.state import EXPLICIT, HISTORY, State
 STRETCH, FEWEST = 64, 4
 # Newton's error in a run that is recorded, as a share of what a step may leave.
 RECORDED_SHARE = 1e-4
+# A record's memory at the end of its run, in that of its steps: these, joined, and in stretches.
+COPIES = 4.0
 
 
 class Steps(eqx.Module):
@@ -75,6 +80,7 @@ class Recorder:
             raise ValueError("the scheme 'paper' cannot be recorded: choose another one, such as 'hybrid'.")
         self.start = start
         self.trails: list[list[np.ndarray]] = []
+        self.held, self.warned = 0, False
         self.frames: list[tuple[float, int]] = []
 
     def solver(self, solver: Integrator) -> Integrator:
@@ -88,6 +94,15 @@ class Recorder:
         assert trail is not None
         length = int(trail.length)
         self.trails.append([np.asarray(part[:length]) for part in trail[:-1]])
+        self.held += sum(part.nbytes for part in self.trails[-1])
+        if COPIES * self.held > memory_limit() and not self.warned:
+            self.warned = True
+            warnings.warn(
+                f"the record of {sum(len(trail[0]) for trail in self.trails)} steps takes "
+                f"{gigabytes(self.held)}, and {COPIES:g} times that at the end of the run, of "
+                f"{gigabytes(memory_limit())} in all; end the run sooner, or choose fewer nodes.",
+                stacklevel=2,
+            )
 
     def frame(self, t: float) -> None:
         """A frame at time `t` s follows the steps so far."""

@@ -18,7 +18,7 @@ from jaxcrumple.run import resume_run, start_run, stored_config
 from jaxcrumple.start import check_start
 from jaxcrumple.state import initial_state
 from jaxcrumple.sweep.cases import blamed
-from jaxcrumple.sweep.cluster import Cluster, connected, run_all
+from jaxcrumple.sweep.cluster import Cluster, connected, local_workers, run_all
 from jaxcrumple.sweep.table import Tell
 
 TABLE = "campaign.csv"
@@ -54,6 +54,7 @@ def campaign(
             tell(name, summary["result"])
     missing = [name for name, summary in summaries.items() if not summary]
     if missing:
+        require_config(runs[missing[0]], local_workers(cluster, len(missing)))
         with connected(cluster, len(missing)) as client:
             for name, summary in _done(client, {name: runs[name] for name in missing}, place):
                 summaries[name] = summary

@@ -67,6 +67,12 @@ def connected(cluster: Cluster, most: int) -> Iterator[Client]:
             yield client
 
 
+def local_workers(cluster: Cluster, most: int) -> int:
+    """How many workers share this machine's memory, as `connected` starts them: one where a cluster is given,
+    whose machines are not known."""
+    return 1 if cluster is not None else min(len(_cores()), most)
+
+
 def _cores() -> list[int]:
     """Cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):

@@ -10,12 +10,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
+from jaxcrumple.memory import require_run
+from jaxcrumple.scenes import Setup
 from jaxcrumple.simulate import checked_times
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import initial_state
 from jaxcrumple.sweep.batch import run_batch
 from jaxcrumple.sweep.cases import Case, Grid, Scenes, cases_of, checked_grid
-from jaxcrumple.sweep.cluster import Cluster
+from jaxcrumple.sweep.cluster import Cluster, local_workers
 from jaxcrumple.sweep.processes import run_processes
 from jaxcrumple.sweep.table import Measure, Tell, check_names, measured, standard_measure, table
 
@@ -72,12 +74,14 @@ def sweep(
     settings = {} if settings is None else settings
     grid = checked_grid(over, settings)
     cases = cases_of(scene, grid, settings, float(stops[-1]), solver, linear)
-    _try(cases[0], grid, measure)
+    first = _try(cases[0], grid, measure)
     most = np.inf if max_attempts is None else max_attempts
     start = time.perf_counter()
     if backend == "batch":
         outcomes = run_batch(cases, stops, measure, most, jax.devices() if devices is None else devices, tell)
     else:
+        workers = local_workers(cluster, len(cases))
+        require_run(first.scene.n_nodes, len(stops), first.scene.contact is not None, workers)
         outcomes = run_processes(cases, stops, measure, most, cluster, tell)
     attributes = {"backend": backend, "seconds": time.perf_counter() - start}
     return table(grid, stops, outcomes, attributes)
@@ -102,8 +106,8 @@ def _chosen(backend: Backend, cluster: Cluster, devices: Sequence[jax.Device] | 
     return backend
 
 
-def _try(case: Case, grid: Grid, measure: Measure) -> None:
-    """Measure the start of a case, before any of them runs.
+def _try(case: Case, grid: Grid, measure: Measure) -> Setup:
+    """Measure the start of a case, before any of them runs; returns its set-up.
 
     **Raises:** ValueError for what cannot be built, what is no measure, names that are taken, or whatever
     `measure` raises.
@@ -116,3 +120,4 @@ def _try(case: Case, grid: Grid, measure: Measure) -> None:
         ) from error
     setup = case.build()
     check_names(grid, measured(measure, setup, initial_state(setup.scene, setup.x)))
+    return setup

@@ -1,0 +1,113 @@
+"""What `check` estimates of runs of `radial` beside what they take: peak memory, compiling and run time.
+
+Each run and each build is a process of its own, whose programs are compiled without a cache. Large sheets are
+built and not run.
+
+    python scripts/estimates.py [--nodes N ...] [--built N ...] [--t-end S] [--resume] [--json FILE]
+"""
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from benchlib import Log, markdown, options, save
+
+from jaxcrumple.config import RunConfig, configure
+from jaxcrumple.estimate import estimate
+from jaxcrumple.run import start_run
+
+NODES, BUILT, T_END = (300, 1000, 3000), (30_000, 100_000), 0.6
+CONTACTS = ("none", "penalty")
+# Lloyd sweeps of a sheet that is only built: they take time and no memory.
+SWEEPS = 1
+
+
+def main() -> None:
+    """Measure what is missing, and write the table."""
+    parser = options(__doc__, NODES, resumable=True)
+    parser.add_argument("--built", type=int, nargs="*", default=BUILT)
+    parser.add_argument("--t-end", type=float, default=T_END)
+    parser.add_argument("--one", nargs=3, metavar=("KIND", "NODES", "CONTACT"), help=argparse.SUPPRESS)
+    opts = parser.parse_args()
+    if opts.one:
+        kind, nodes, contact = opts.one
+        asked = config(int(nodes), contact, opts.t_end, SWEEPS if kind == "build" else 100)
+        print(json.dumps(ran(asked) if kind == "run" else built(asked)))
+        return
+    log = Log("estimates", opts.resume)
+    sizes = [("run", n) for n in opts.nodes] + [("build", n) for n in opts.built]
+    cases = [
+        {"kind": kind, "nodes": n, "contact": contact, "t_end": opts.t_end}
+        for contact in CONTACTS
+        for kind, n in sizes
+    ]
+    results = [log.result(case, lambda case=case: alone(case)) for case in cases]
+    save(opts, "estimates", tables(results), None, {}, results)
+
+
+def config(nodes: int, contact: str, t_end: float, sweeps: int = 100) -> RunConfig:
+    """The configuration of a run."""
+    return configure("radial", nodes=nodes, t_end=t_end, settings={"contact": contact, "sweeps": sweeps})
+
+
+def alone(case: dict) -> dict:
+    """What a case takes, in a process of its own."""
+    name = [case["kind"], str(case["nodes"]), case["contact"]]
+    command = [sys.executable, __file__, "--t-end", str(case["t_end"]), "--one", *name]
+    cold = {key: value for key, value in os.environ.items() if key != "JAX_COMPILATION_CACHE_DIR"}
+    return json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, env=cold).stdout)
+
+
+def ran(asked: RunConfig) -> dict:
+    """Peak memory in bytes and seconds of a run."""
+    with tempfile.TemporaryDirectory() as folder:
+        summary = start_run(asked, Path(folder) / "run")
+    spent = {key: summary[key] for key in ("result", "compile_s", "cpu_s")}
+    return {"memory": summary["peak_memory_mb"] * 2**20} | spent
+
+
+def built(asked: RunConfig) -> dict:
+    """Peak memory in bytes and CPU seconds of building a scene."""
+    start = time.process_time()
+    asked.build()
+    # ru_maxrss is in kB on Linux and in bytes on macOS.
+    unit = 1 if sys.platform == "darwin" else 2**10
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+    return {"memory": peak, "cpu_s": time.process_time() - start}
+
+
+def tables(results: list[dict]) -> str:
+    """Estimates beside what was measured."""
+    rows, builds = [], []
+    for result in results:
+        n, contact = result["nodes"], result["contact"]
+        memory = f"{result['memory'] * 1e-9:.2f}"
+        if result["kind"] == "build":
+            builds.append((n, contact, memory, f"{result['cpu_s']:.1f}"))
+            continue
+        guess = estimate(config(n, contact, result["t_end"]), n)
+        spans = [between(*guess.memory, 1e-9), between(*guess.compiling), between(*guess.run)]
+        spent = [memory, f"{result['compile_s']:.0f}", f"{result['cpu_s']:.1f}"]
+        rows.append((n, contact, *(cell for pair in zip(spans, spent, strict=True) for cell in pair)))
+    header = ["n", "contact", "memory in GB: estimate", "run", "compiling in s: estimate", "run (wall)"]
+    header += ["run time in s: estimate", "run (CPU)"]
+    return (
+        f"`radial` to t = {results[0]['t_end']:g} s, rtol 0.01, each in a process of its own, without a "
+        f"cache of programs.\n\n{markdown(header, rows)}\n\nSheets that are built and not run, {SWEEPS} "
+        f"Lloyd sweep.\n\n{markdown(['n', 'contact', 'memory in GB', 'CPU s'], builds)}"
+    )
+
+
+def between(least: float, most: float, unit: float = 1.0) -> str:
+    """A range in words."""
+    return f"{least * unit:.2g} to {most * unit:.2g}"
+
+
+if __name__ == "__main__":
+    main()
