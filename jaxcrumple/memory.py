@@ -58,6 +58,11 @@ def group_limits(root: Path = GROUPS, own: Path = OWN_GROUPS) -> Iterator[int]:
                 continue
 
 
+def times_that_fit(size: float) -> float:
+    """How many times `size` bytes fit into the memory."""
+    return memory_limit() / size
+
+
 def require(least: float, what: str, cure: str, most: float | None = None) -> None:
     """Refuse `what` takes at least `least` bytes if there are not as many, before it is allocated.
 

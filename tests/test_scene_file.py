@@ -224,8 +224,6 @@ def test_estimates_of_what_was_measured():
     for asked, nodes, seconds in measured:
         least, most = estimate(asked, nodes).run
         assert least / 2 < seconds < 2 * most
-    for settings, memory in (([], 4.2e9), (["contact=none"], 1.3e9)):
-        assert estimate(configure("radial", settings=settings), 1000).memory == pytest.approx(memory, rel=0.4)
 
 
 def test_the_commands(file, tmp_path, monkeypatch, capsys):

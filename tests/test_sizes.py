@@ -34,8 +34,7 @@ def memory_of(monkeypatch):
     """A function that sets the memory of this machine in bytes."""
 
     def set_to(size):
-        for module in ("memory", "model.sites", "model.intersections", "check", "replay.record"):
-            monkeypatch.setattr(f"jaxcrumple.{module}.memory_limit", lambda: int(size))
+        monkeypatch.setattr(memory, "memory_limit", lambda: int(size))
 
     return set_to
 

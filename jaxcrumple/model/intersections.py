@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from jaxcrumple.memory import memory_limit, require
+from jaxcrumple.memory import require, times_that_fit
 
 # Bytes of a pair of a segment and a triangle that is looked at.
 PAIR = 60.0
@@ -36,7 +36,7 @@ def close_pairs(ends: np.ndarray, corners: np.ndarray) -> np.ndarray:
     center, middle = 0.5 * (low + high), 0.5 * (first + last)
     reach = 0.5 * (np.linalg.norm(high - low, axis=1).max() + np.linalg.norm(last - first, axis=1).max())
     segments, triangles = cKDTree(middle), cKDTree(center)
-    if PAIR * len(ends) * len(corners) > memory_limit():
+    if len(ends) and times_that_fit(PAIR * len(ends) * len(corners)) < 1.0:
         pairs = float(segments.count_neighbors(triangles, reach))
         what = f"the search among {pairs:.2g} pairs of segments and triangles, up to {reach:.3g} m apart,"
         require(PAIR * pairs, what, "give triangles of more equal size, or shorter chords")

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import cKDTree
 
-from jaxcrumple.memory import memory_limit, require, require_indices
+from jaxcrumple.memory import require, require_indices, times_that_fit
 from jaxcrumple.mesh import Mesh
 
 # Bytes: of a site of one triangle while the lattice is built, of a pair of sites in the lists and their
@@ -64,7 +64,7 @@ def require_sites(faces: int, level: int, sigma: float, *, chosen: bool) -> None
     own = (level + 2.0) * (level + 3.0) / 2.0
     least, most = (SITE * own + PAIR * share * own * faces for share in PAIRS)
     what = f"contact of range {sigma:.3g} m at level {level}, with {own * faces:.2g} sites on the sheet,"
-    fitting = np.sqrt(memory_limit() / least)
+    fitting = np.sqrt(times_that_fit(least))
     if chosen:
         cure = f"choose a contact level of at most {max(int(fitting * (level + 2)) - 3, 0)}"
     else:
@@ -80,7 +80,7 @@ def require_candidates(mesh: Mesh, sigma: float) -> None:
     **Raises:** ValueError with an estimate.
     """
     faces = len(mesh.faces)
-    if CANDIDATE * faces**2 < memory_limit():
+    if times_that_fit(CANDIDATE * faces**2) > 1.0:
         return
     corners = mesh.vertices[mesh.faces]
     center = corners.mean(axis=1)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxcrumple.memory import gigabytes, memory_limit
+from jaxcrumple.memory import gigabytes, times_that_fit
 from jaxcrumple.model.near import Near, doubled, no_neighbors
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.replay.contacts import Lists, make_lists
@@ -95,12 +95,12 @@ class Recorder:
         length = int(trail.length)
         self.trails.append([np.asarray(part[:length]) for part in trail[:-1]])
         self.held += sum(part.nbytes for part in self.trails[-1])
-        if COPIES * self.held > memory_limit() and not self.warned:
+        if self.held and not self.warned and times_that_fit(COPIES * self.held) < 1.0:
             self.warned = True
             warnings.warn(
                 f"the record of {sum(len(trail[0]) for trail in self.trails)} steps takes "
-                f"{gigabytes(self.held)}, and {COPIES:g} times that at the end of the run, of "
-                f"{gigabytes(memory_limit())} in all; end the run sooner, or choose fewer nodes.",
+                f"{gigabytes(self.held)}, and {COPIES:g} times that at the end of the run, which exceeds the "
+                "memory; end the run sooner, or choose fewer nodes.",
                 stacklevel=2,
             )
 
