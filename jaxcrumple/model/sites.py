@@ -64,7 +64,8 @@ def require_sites(faces: int, level: int, sigma: float, *, chosen: bool) -> None
     own = (level + 2.0) * (level + 3.0) / 2.0
     least, most = (SITE * own + PAIR * share * own * faces for share in PAIRS)
     what = f"contact of range {sigma:.3g} m at level {level}, with {own * faces:.2g} sites on the sheet,"
-    fitting = np.sqrt(times_that_fit(least))
+    # Of that level or range a dense crumple fits too.
+    fitting = np.sqrt(times_that_fit(most))
     if chosen:
         cure = f"choose a contact level of at most {max(int(fitting * (level + 2)) - 3, 0)}"
     else:
