@@ -12,8 +12,10 @@ from typer.testing import CliRunner
 import jaxcrumple as jc
 from jaxcrumple import cli
 from jaxcrumple.balance import start_balance
+from jaxcrumple.config import configure
 from jaxcrumple.simulate import simulate
 from jaxcrumple.start import check_start
+from jaxcrumple.sweep.campaign import _check as check_case
 
 PAIR = np.array([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.005, 0.01, 0.0], [0.005, -0.01, 0.0]])
 FACES = np.array([[0, 1, 2], [1, 0, 3]])
@@ -185,6 +187,13 @@ def test_a_term_that_is_not_finite_is_refused_by_name():
     spoilt = eqx.tree_at(lambda s: s.bending.rest_curvature, scene, jnp.array([jnp.nan]))
     with pytest.raises(ValueError, match=r"bending: the force on node 0 is \[nan nan nan\] N at the start"):
         start_balance(spoilt, jc.initial_state(spoilt, PAIR))
+
+
+def test_a_campaign_refuses_what_its_runs_would():
+    walls = [{"kind": "plane", "offset": "1 cm"}]
+    config = configure("custom", nodes=60, t_end=0.1, settings={"walls": walls})
+    with pytest.raises(ValueError, match=r"^low: node \d+ starts 0.01 m behind wall 0 \(Plane\)"):
+        check_case("low", config)
 
 
 def test_check_reports_a_start_out_of_balance(tmp_path):

@@ -46,7 +46,7 @@ class Merger:
         room = self.nnz + ENTRIES * capacity
         what = f"the matrix of a direct solver, with room for {capacity} pairs of triangles that touch,"
         cure = "choose linear = 'two-level', or resume with a coarser mesh"
-        require_indices(max(room, SIZE * capacity), what, cure)
+        require_indices(room, what, cure)
         require(BYTES * SIZE * capacity, what, cure)
         entries[entries == nnz] = room
         place = np.empty(self.nnz, np.int32)

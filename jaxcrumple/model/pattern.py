@@ -157,7 +157,7 @@ def _check_size(n: int, block_row: np.ndarray, block_col: np.ndarray) -> None:
     node, longest = int(np.argmax(neighbors)), float(neighbors.max())
     what, fewer = f"the tangent of {n} nodes", "give a mesh of fewer nodes"
     cure = f"{fewer}, or remesh around node {node}, which is coupled to {int(longest)}"
-    require_indices(max(9.0 * len(block_row), 9.0 * n * longest), what, cure)
+    require_indices(9.0 * len(block_row), what, cure)
     require(ENTRY * 9.0 * len(block_row) + 16.0 * 9.0 * n * longest, what, cure)
 
 

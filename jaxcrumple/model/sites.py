@@ -15,6 +15,8 @@ SITE, PAIR, CANDIDATE = 200.0, 90.0, 100.0
 # Pairs of sites in the lists for each site of the sheet: where it touches itself along a few folds, and in a
 # dense crumple, with the room that lists keep (0.36 in a crumple to a third of its size, n = 1000).
 PAIRS = (0.01, 0.5)
+# Refinement from which on 32-bit numbers do not count the sites of a triangle.
+MOST_LEVEL = 65_000
 
 
 class Sites(NamedTuple):

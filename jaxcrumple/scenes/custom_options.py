@@ -21,6 +21,7 @@ from pydantic import (
 from jaxcrumple.mesh_files import MeshError
 from jaxcrumple.mesh_files.sheet import unit_length
 from jaxcrumple.model.contact import Potential
+from jaxcrumple.model.sites import MOST_LEVEL
 from jaxcrumple.units import (
     LENGTH,
     TIME,
@@ -258,7 +259,7 @@ class CustomOptions(Table):
     damping: Literal["central", "paper"] = "central"
     contact: Potential | None = "penalty"
     contact_range: Annotated[float | None, LENGTH] = Field(None, gt=0)
-    contact_level: int | None = Field(None, ge=0, le=200)
+    contact_level: int | None = Field(None, ge=0, le=MOST_LEVEL)
 
     @model_validator(mode="after")
     def _of_a_contact(self) -> "CustomOptions":

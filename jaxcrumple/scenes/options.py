@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from jaxcrumple.model.contact import Potential
+from jaxcrumple.model.sites import MOST_LEVEL
 from jaxcrumple.scenes.axial import TIMES as AXIAL
 from jaxcrumple.scenes.custom_options import refuse_idle_contact
 from jaxcrumple.scenes.fold import TIMES
@@ -26,7 +27,7 @@ class SheetModel(SceneOptions):
     damping: Literal["central", "paper"] = "central"
     contact: Potential | None = "penalty"
     contact_range: Annotated[float | None, LENGTH] = Field(None, gt=0)
-    contact_level: int | None = Field(None, ge=0, le=200)
+    contact_level: int | None = Field(None, ge=0, le=MOST_LEVEL)
 
     @model_validator(mode="after")
     def _of_a_contact(self) -> Self:
