@@ -134,7 +134,7 @@ def check(
     console.print(
         "starts in balance, clear of itself and its walls"
         if balance.in_balance
-        else "starts out of balance; the run begins with a motion that no load causes:"
+        else "starts out of balance, so the sheet moves at once:"
     )
     for line in balance.lines:
         console.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)

@@ -64,24 +64,20 @@ def times_that_fit(size: float) -> float:
 
 
 def require(least: float, what: str, cure: str, most: float | None = None) -> None:
-    """Refuse `what` takes at least `least` bytes if there are not as many, before it is allocated.
+    """Refuse what takes more memory than there is, before it is allocated; warn of what may take more.
 
-    **Arguments:** `most`: bytes that it may take, above which a warning is given, by default `COPIES` times
-    the least; `cure`: what makes it smaller.
+    **Arguments:** `least`: bytes that it surely takes; `what` takes them, in words; `cure`: what makes it
+    smaller; `most`: bytes that it may take, by default `COPIES` times the least.
 
     **Raises:** ValueError with the estimate, the limit and the cure.
     """
     limit = memory_limit()
+    rest = f"of memory, and the limit here is {gigabytes(limit)}; {cure}."
     if not least <= limit:
-        raise ValueError(
-            f"{what} takes at least {gigabytes(least)} of memory, of {gigabytes(limit)} in all; {cure}."
-        )
+        raise ValueError(f"{what} takes at least {gigabytes(least)} {rest}")
     most = COPIES * least if most is None else most
     if most > limit:
-        warnings.warn(
-            f"{what} may take up to {gigabytes(most)} of memory, of {gigabytes(limit)} in all; {cure}.",
-            stacklevel=3,
-        )
+        warnings.warn(f"{what} may take up to {gigabytes(most)} {rest}", stacklevel=3)
 
 
 def require_indices(count: float, what: str, cure: str) -> None:

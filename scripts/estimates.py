@@ -1,4 +1,4 @@
-"""What `check` estimates of runs of `radial` beside what they take: peak memory, compiling and run time.
+"""What `check` estimates of runs of `radial` beside what they take: peak memory, and CPU time with compiling.
 
 Each run and each build is a process of its own, whose programs are compiled without a cache. Large sheets are
 built and not run.
@@ -68,7 +68,7 @@ def ran(asked: RunConfig) -> dict:
     """Peak memory in bytes and seconds of a run."""
     with tempfile.TemporaryDirectory() as folder:
         summary = start_run(asked, Path(folder) / "run")
-    spent = {key: summary[key] for key in ("result", "compile_s", "cpu_s")}
+    spent = {key: summary[key] for key in ("result", "cpu_s")}
     return {"memory": summary["peak_memory_mb"] * 2**20} | spent
 
 
@@ -92,11 +92,10 @@ def tables(results: list[dict]) -> str:
             builds.append((n, contact, memory, f"{result['cpu_s']:.1f}"))
             continue
         guess = estimate(config(n, contact, result["t_end"]), n)
-        spans = [between(*guess.memory, 1e-9), between(*guess.compiling), between(*guess.run)]
-        spent = [memory, f"{result['compile_s']:.0f}", f"{result['cpu_s']:.1f}"]
-        rows.append((n, contact, *(cell for pair in zip(spans, spent, strict=True) for cell in pair)))
-    header = ["n", "contact", "memory in GB: estimate", "run", "compiling in s: estimate", "run (wall)"]
-    header += ["run time in s: estimate", "run (CPU)"]
+        seconds = [sum(both) for both in zip(guess.compiling, guess.run, strict=True)]
+        cells = [between(*guess.memory, 1e-9), memory, between(*seconds), f"{result['cpu_s']:.0f}"]
+        rows.append((n, contact, *cells))
+    header = ["n", "contact", "memory in GB: estimate", "run", "CPU s with compiling: estimate", "run"]
     return (
         f"`radial` to t = {results[0]['t_end']:g} s, rtol 0.01, each in a process of its own, without a "
         f"cache of programs.\n\n{markdown(header, rows)}\n\nSheets that are built and not run, {SWEEPS} "
