@@ -230,3 +230,9 @@ def _check_length(name: str, value: Any, n: int) -> None:
         raise ValueError(
             f"{name} has {np.shape(value)[0]} values but the mesh has {n} nodes; give one value a node"
         )
+
+
+def changed(name: str, one: Material, other: Material) -> bool:
+    """Whether a property differs between two materials; one that JAX traces differs from all others."""
+    values = [math.nan if value is None else value for value in (getattr(one, name), getattr(other, name))]
+    return not (is_known(values) and np.array_equal(values[0], values[1], equal_nan=True))

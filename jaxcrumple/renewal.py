@@ -10,7 +10,7 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from jaxcrumple.model.fans import PLACED_TURN, largest_turn
-from jaxcrumple.model.fields import is_known
+from jaxcrumple.model.fields import door, is_known
 from jaxcrumple.model.merger import Merger
 from jaxcrumple.model.near import (
     SOON,
@@ -162,6 +162,7 @@ def _with_candidates(scene: Scene, size: int) -> Scene:
     return eqx.tree_at(lambda s: s.contact.candidates, scene, none)
 
 
+@door
 def with_contacts(scene: Scene, x: ArrayLike | State, needed: ArrayLike | None = None) -> Scene:
     """The scene with its lists of contact made for positions `x` (n, 3) in m, on the host.
 

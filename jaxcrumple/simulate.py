@@ -12,14 +12,15 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from jaxcrumple.memory import require, require_run
-from jaxcrumple.model.fields import as_float
+from jaxcrumple.model.fields import as_float, door
+from jaxcrumple.model.loads import check_motion
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.programs import make_room
 from jaxcrumple.renewal import Renewal
 from jaxcrumple.replay.record import Record, Recorder
 from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.log import AFTER, BEFORE, ENERGIES, EVENT_COLUMNS, Log, Row
-from jaxcrumple.solvers.scheme import Integrator, integrator
+from jaxcrumple.solvers.scheme import Integrator, checked_solver, integrator
 from jaxcrumple.start import check_gap, check_start, pierced
 from jaxcrumple.state import CAUSES, EXPLICIT, IMPLICIT, QUASISTATIC, RESULTS, STAGES, State, check_state
 from jaxcrumple.threads import limited_blas
@@ -105,6 +106,7 @@ class _Kept:
         self.events.append(events)
 
 
+@door
 def simulate(
     scene: Scene,
     state: State,
@@ -141,9 +143,10 @@ def simulate(
     check_start(scene, state)
     stops = checked_times(times, first_frame, float(state.t))
     require_run(scene.n_nodes, len(stops) - first_frame, scene.contact is not None)
-    solver = integrator() if solver is None else solver
-    if not isinstance(solver, Integrator):
-        raise ValueError(f"solver = {solver!r} must be what jaxcrumple.integrator(rtol, scheme=...) makes.")
+    if scene.prescribed is not None:
+        for stop in stops[first_frame:]:
+            check_motion(scene.prescribed, stop)
+    solver = integrator() if solver is None else checked_solver(solver)
     kept, recorder = _Kept(), None
     if record:
         recorder = Recorder(state, solver)

@@ -10,9 +10,10 @@ from jax.typing import ArrayLike
 
 from jaxcrumple.memory import require
 from jaxcrumple.model.contact import Contact
-from jaxcrumple.model.fields import is_known
+from jaxcrumple.model.fields import as_float, door, is_known, require_finite
+from jaxcrumple.model.loads import check_supported
 from jaxcrumple.model.near import Around, nowhere
-from jaxcrumple.model.scene import Scene
+from jaxcrumple.model.scene import Scene, check_scene
 
 # Reach in ranges of the first list of sites at most, and of the first places in the matrix at least.
 FIRST, FIRST_PLACED = 0.25, 0.75
@@ -240,25 +241,30 @@ class State(eqx.Module):
     work: Work | None
 
 
+@door
 def initial_state(
-    scene: Scene, x: Array, v: Array | None = None, *, window: int = 5, ledger: bool = False
+    scene: Scene, x: ArrayLike, v: ArrayLike | None = None, *, window: int = 5, ledger: bool = False
 ) -> State:
     """State at t = 0 with positions `x` (n, 3) in m and velocities `v` (n, 3) in m/s (default 0).
 
     `window` is the number of steps the acceleration monitor averages; `ledger`: whether runs from the state
     keep the work ledger (`Work`), which costs little in implicit steps and two forces in explicit ones.
 
-    **Raises:** ValueError for positions or velocities of another shape or not finite, or an empty window.
+    **Raises:** ValueError for positions or velocities of another shape or not finite, positions that are not
+    where supports hold them, an empty window, or what is no scene.
     """
-    if window < 1:
+    check_scene(scene)
+    if not isinstance(window, int | np.integer) or window < 1:
         raise ValueError(f"window = {window!r} must be at least 1 step.")
     require(8.0 * window, f"a monitor of {window} steps", "choose a shorter window")
-    x = jnp.asarray(x, float)
-    v = jnp.zeros_like(x) if v is None else jnp.asarray(v, float)
+    x = as_float(x)
+    v = jnp.zeros_like(x) if v is None else as_float(v)
     for name, value in (("x", x), ("v", v)):
         check_positions(name, value, scene.n_nodes)
+    nought = jnp.asarray(0.0, float)
+    _check_supports(scene, x, nought)
     # Explicit types: weakly typed leaves would make the second call of a program compile again.
-    zero, nought = jnp.asarray(0, int), jnp.asarray(0.0, float)
+    zero = jnp.asarray(0, int)
     p = None if scene.plasticity is None else scene.bending.rest_curvature
     slopes, history, kept, listing = _memory(scene, x, v, p)
     return State(
@@ -336,10 +342,13 @@ def restart_history(x: Array, v: Array, p: Array | None) -> History:
 
 
 def check_state(scene: Scene, state: State) -> None:
-    """Refuse a state of another scene.
+    """Refuse a state of another scene, or one that is not where the scene's supports hold it.
 
     **Raises:** ValueError that says in what they differ.
     """
+    check_scene(scene)
+    if not isinstance(state, State):
+        raise ValueError(f"state has type {type(state).__name__}; it must be what initial_state makes.")
     cure = "start from initial_state(scene, x) of the same scene."
     if state.x.shape != (scene.n_nodes, 3):
         raise ValueError(f"the state has positions {state.x.shape}, the scene {scene.n_nodes} nodes; {cure}")
@@ -354,6 +363,14 @@ def check_state(scene: Scene, state: State) -> None:
     hinges = scene.bending.rest_curvature.shape
     if state.p is not None and state.p.shape != hinges:
         raise ValueError(f"the state has {state.p.shape[0]} hinges, the scene {hinges[0]}; {cure}")
+    if state.p is not None:
+        require_finite("the state's p", state.p)
+    _check_supports(scene, state.x, state.t)
+
+
+def _check_supports(scene: Scene, x: Array, t: Array) -> None:
+    if scene.prescribed is not None:
+        check_supported(scene.prescribed, x, t, scene.length_scale)
 
 
 def check_positions(name: str, value: Any, nodes: int) -> None:

@@ -7,11 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sparse
 from jax import Array
+from jax.typing import ArrayLike
 
+from jaxcrumple.model.fields import as_float, door, require_shape
 from jaxcrumple.model.geometry import Hinge, curvature
 from jaxcrumple.model.plasticity import implicit_update
-from jaxcrumple.model.scene import Scene
-from jaxcrumple.state import ImplicitStep, State
+from jaxcrumple.model.scene import Scene, require_scene
+from jaxcrumple.state import ImplicitStep, State, check_state
 
 
 class Energies(NamedTuple):
@@ -26,12 +28,15 @@ class Energies(NamedTuple):
     kinetic: Array
 
 
-def energies(scene: Scene, x: Array, v: Array, p: Array | None, t: Array) -> Energies:
+@door
+def energies(scene: Scene, x: ArrayLike, v: ArrayLike, p: ArrayLike | None, t: ArrayLike) -> Energies:
     """Energies by term in J; the bending energy is that stored, with rest curvature `p`.
 
-    **Raises:** ValueError for positions or velocities of another shape than (n, 3).
+    **Raises:** ValueError for positions or velocities of another shape than (n, 3), rest curvatures of
+    another than (h,), or a time that is not one number.
     """
     x, v = nodal(scene, x=x, v=v)
+    p, t = _others(scene, p, t)
     zero = jnp.zeros((), x.dtype)
     return Energies(
         stretch=scene.membrane.energy(x),
@@ -44,19 +49,32 @@ def energies(scene: Scene, x: Array, v: Array, p: Array | None, t: Array) -> Ene
     )
 
 
-def nodal(scene: Scene, **values: Array) -> list[Array]:
-    """Arrays (n, 3) of values by name, also those of NumPy.
+def nodal(scene: Scene, **values: ArrayLike) -> list[Array]:
+    """Float arrays (n, 3) of values by name, also those of NumPy.
 
-    **Raises:** ValueError that names one of another shape.
+    **Raises:** ValueError that names one of another shape, or for what is no scene.
     """
+    require_scene(scene)
     for name, value in values.items():
-        if jnp.shape(value) != (scene.n_nodes, 3):
-            raise ValueError(f"{name} has shape {jnp.shape(value)}; it must be ({scene.n_nodes}, 3).")
-    return [jnp.asarray(value) for value in values.values()]
+        require_shape(name, value, (scene.n_nodes, 3))
+    return [as_float(value) for value in values.values()]
 
 
-def potential_energy(scene: Scene, x: Array, p: Array | None, t: Array) -> Array:
-    """All stored energy in J: the function whose gradient the closed-form forces are held against."""
+def _others(scene: Scene, p: ArrayLike | None, t: ArrayLike) -> tuple[Array | None, Array]:
+    """Rest curvatures (h,), or None, and time, also those of NumPy."""
+    if p is not None:
+        require_shape("p", p, scene.bending.rest_curvature.shape)
+    require_shape("t", t, ())
+    return None if p is None else as_float(p), as_float(t)
+
+
+@door
+def potential_energy(scene: Scene, x: ArrayLike, p: ArrayLike | None, t: ArrayLike) -> Array:
+    """All stored energy in J: the function whose gradient the closed-form forces are held against.
+
+    **Raises:** ValueError as `energies` does.
+    """
+    (x,) = nodal(scene, x=x)
     parts = energies(scene, x, jnp.zeros_like(x), p, t)
     return sum(parts[:-1], jnp.zeros((), x.dtype))
 
@@ -72,12 +90,14 @@ def _external_force(scene: Scene, x: Array, t: Array) -> Array:
     return total if scene.gravity is None else total + scene.gravity.force()
 
 
-def force(scene: Scene, x: Array, v: Array, p: Array | None, t: Array) -> Array:
+@door
+def force(scene: Scene, x: ArrayLike, v: ArrayLike, p: ArrayLike | None, t: ArrayLike) -> Array:
     """Net force F(x, v, p, t) on the nodes (n, 3) in N (eq. 2).
 
-    **Raises:** ValueError for positions or velocities of another shape than (n, 3).
+    **Raises:** ValueError for arrays as `energies` does.
     """
     x, v = nodal(scene, x=x, v=v)
+    p, t = _others(scene, p, t)
     return _force_and_rate(scene, x, v, p, t)[0]
 
 
@@ -103,8 +123,9 @@ def _force_and_rate(scene: Scene, x, v, p, t) -> tuple[Array, Array | None]:
         total = total + scene.drag.force(v)
     if scene.damping is not None:
         total = total + scene.damping.force(x, v)
-    rate = None if scene.plasticity is None else scene.plasticity.rate(curvature(hinges.theta), p)
-    return total, rate
+    if scene.plasticity is None or p is None:
+        return total, None
+    return total, scene.plasticity.rate(curvature(hinges.theta), p)
 
 
 def residual(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array | None]:
@@ -160,8 +181,16 @@ def linearize(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array]
     return value, _assemble(scene, x, step.t, edge_blocks, hinge_blocks, nodes)
 
 
-def elastic_tangent(scene: Scene, x: Array, p: Array | None, t: Array, shift: Array | float = 0.0) -> Array:
-    """Values (size,) of the Hessian of the potential energy plus `shift` times the mass, in N/m."""
+@door
+def elastic_tangent(
+    scene: Scene, x: ArrayLike, p: ArrayLike | None, t: ArrayLike, shift: ArrayLike = 0.0
+) -> Array:
+    """Values (size,) of the Hessian of the potential energy plus `shift` times the mass, in N/m.
+
+    **Raises:** ValueError for arrays as `energies` does.
+    """
+    (x,) = nodal(scene, x=x)
+    p, t = _others(scene, p, t)
     nodes = (shift * scene.mass)[:, None, None] * jnp.eye(3)
     hinge_blocks = scene.bending.blocks(x, scene.rest_curvature(p), None)
     return _assemble(scene, x, t, scene.membrane.blocks(x), hinge_blocks, nodes)
@@ -192,11 +221,15 @@ def _eliminate(scene: Scene, held: Array, values: Array) -> Array:
     return jnp.concatenate([own, pattern.contact.free(values[pattern.nnz :], held)])
 
 
+@door
 def tangent(scene: Scene, state: State) -> sparse.csr_array:
     """Stiffness matrix (3n, 3n) at a state in N/m: the Hessian of the potential energy, p held fixed.
 
     Rows and columns are numbered 3 * node + component; prescribed components are decoupled.
+
+    **Raises:** ValueError for a state of another scene.
     """
+    check_state(scene, state)
     values = np.asarray(eqx.filter_jit(elastic_tangent)(scene, state.x, state.p, state.t))
     size = 3 * scene.n_nodes
     pattern = scene.pattern
@@ -209,6 +242,11 @@ def tangent(scene: Scene, state: State) -> sparse.csr_array:
     return sparse.csr_array(upper + sparse.triu(upper, k=1).T)
 
 
+@door
 def mass_matrix(scene: Scene) -> sparse.dia_array:
-    """Lumped mass matrix (3n, 3n) in kg."""
+    """Lumped mass matrix (3n, 3n) in kg.
+
+    **Raises:** ValueError for what is no scene.
+    """
+    require_scene(scene)
     return sparse.diags_array(np.repeat(np.asarray(scene.mass), 3))

@@ -243,7 +243,7 @@ def parts_of_a_step(scene: Scene, state: State) -> dict[str, float]:
 
     @eqx.filter_jit
     def solve(last, rhs):
-        return linear.solve(scene.pattern, last, last.values, rhs, 1e-3).x
+        return linear.solve(scene.pattern, last, None, rhs, 1e-3).x
 
     # As in a run: each factor from the last one, which the library makes over.
     made = [eqx.filter_jit(linear.start)(scene.pattern)]

@@ -14,6 +14,7 @@ from scipy.optimize import brentq, least_squares
 
 from jaxcrumple.calibrate.evaluate import Evaluations
 from jaxcrumple.calibrate.experiment import Experiment, Values
+from jaxcrumple.model.fields import door
 from jaxcrumple.solvers.scheme import Integrator
 
 # Steps by which a bracket is sought, as factors of the parameter.
@@ -77,6 +78,7 @@ class Fit:
         return f"Fit({found}, {known}, {spent}, {'success' if self.success else self.message})"
 
 
+@door
 def fit(
     experiment: Experiment,
     parameters: Mapping[str, Parameter],

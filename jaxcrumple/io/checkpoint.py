@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxcrumple.io.atomic import npz_bytes, to_json, write_bytes
+from jaxcrumple.model.fields import door
 
 FORMAT, VERSION = "jaxcrumple-checkpoint", 1
 _HEADER = "header"
@@ -77,6 +78,7 @@ def read_metadata(path: str | Path) -> dict[str, Any]:
     return _read_header(path, _read_members(path))["metadata"]
 
 
+@door
 def load_checkpoint(
     path: str | Path, like: Tree, *, fingerprint: Mapping[str, Any] | None = None
 ) -> tuple[Tree, dict[str, Any]]:

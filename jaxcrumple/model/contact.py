@@ -322,6 +322,21 @@ def build_contact(
     )
 
 
+def check_options_of(options: SelfContact, contact: Contact) -> None:
+    """Refuse a contact of another potential or level than `options` ask for.
+
+    **Raises:** ValueError that names both.
+    """
+    potential = "penalty" if contact.core is None else "barrier"
+    # A lattice of `level` + 1 parts a side has (level + 2) (level + 3) / 2 sites.
+    level = int(np.sqrt(2 * len(contact.share) + 0.25) - 2.5 + 0.5)
+    if options.potential != potential or options.level not in (None, level):
+        raise ValueError(
+            f"the scene that this one is to be like has contact by {potential} of level {level}, not by "
+            f"{options.potential} of level {options.level}; leave `like` out."
+        )
+
+
 def _longest(mesh: Mesh) -> float:
     return float(mesh.edge_length.max())
 
@@ -349,6 +364,6 @@ def _level(mesh: Mesh, sigma: float, options: SelfContact) -> int:
         warnings.warn(
             f"contact level = {level} leaves sites so far apart that layers may meet between them without a "
             f"force, which ends a run as blocked; choose level {needed} or leave it out.",
-            stacklevel=5,
+            stacklevel=6,
         )
     return int(level)

@@ -1,24 +1,111 @@
-"""Fields that hold physical numbers, and trees of them."""
+"""Fields that hold physical numbers, trees of them, and the door that public functions share."""
 
-from typing import Any
+import functools
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
+
+# Characters of a wrong value that a message quotes.
+QUOTED = 80
+Given = ParamSpec("Given")
+Made = TypeVar("Made")
+
+
+def door(function: Callable[Given, Made]) -> Callable[Given, Made]:
+    """A public function that refuses single precision and declares its transfers.
+
+    Its arguments may be numbers of Python and of NumPy, so it moves numbers to the device on purpose,
+    whatever `jax.transfer_guard` the caller has set.
+    """
+
+    @functools.wraps(function)
+    def checked(*args: Given.args, **kwargs: Given.kwargs) -> Made:
+        require_x64()
+        with jax.transfer_guard("allow"):
+            return function(*args, **kwargs)
+
+    return checked
+
+
+def require_x64() -> None:
+    """Refuse to compute in single precision.
+
+    **Raises:** ValueError with the setting to change.
+    """
+    if jnp.result_type(float) != np.float64:
+        raise ValueError(
+            "jaxcrumple needs float64: forces nearly cancel and float32 loses them. "
+            'Call jax.config.update("jax_enable_x64", True) at the start of the program.'
+        )
 
 
 def as_float(value: ArrayLike) -> Array:
     """Float array of a number or an array: a leaf to differentiate by, whatever it was given as.
 
     The explicit type makes numbers of Python and of NumPy compile to the same program.
+
+    **Raises:** ValueError for what is not made of numbers.
     """
-    return jnp.asarray(value, float)
+    with jax.transfer_guard("allow"):
+        try:
+            return jnp.asarray(value, float)
+        except (TypeError, ValueError) as error:
+            if not is_known(value):
+                raise
+            raise ValueError(f"{value!r} is neither a number nor an array of numbers.") from error
+
+
+def as_numbers(what: str, value: ArrayLike) -> Array:
+    """Array of node numbers.
+
+    **Raises:** ValueError for what is not made of whole numbers from 0 on.
+    """
+    given = value if isinstance(value, Array) else np.asarray(value)
+    if given.dtype.kind not in "iu":
+        raise ValueError(f"{what} = {value!r} must be whole numbers; use numpy.flatnonzero of a mask.")
+    if is_known(given) and np.any(np.asarray(given) < 0):
+        raise ValueError(f"{what} holds {np.min(np.asarray(given))}; nodes are numbered from 0 on.")
+    with jax.transfer_guard("allow"):
+        return jnp.asarray(given)
 
 
 def is_known(*values: Any) -> bool:
     """Whether all numbers in `values` can be looked at: none is traced by a transformation of JAX."""
     return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))
+
+
+def require_finite(what: str, value: Any) -> None:
+    """Refuse a number or an array with an entry that is not finite; what JAX traces is not looked at.
+
+    **Raises:** ValueError that names the first such entry.
+    """
+    if not is_known(value):
+        return
+    array = np.asarray(value)
+    bad = np.argwhere(~np.isfinite(array))
+    if len(bad):
+        place = f"[{', '.join(map(str, bad[0]))}]" if array.ndim else ""
+        raise ValueError(f"{what}{place} is {array[tuple(bad[0])]}; it must be finite.")
+
+
+def require_shape(what: str, value: Any, *shapes: tuple[int, ...]) -> None:
+    """Refuse an array of a shape that is not among `shapes`.
+
+    **Raises:** ValueError with its shape and those it may have.
+    """
+    if np.shape(value) not in shapes:
+        raise ValueError(f"{what} has shape {np.shape(value)}; it must be {' or '.join(map(str, shapes))}.")
+
+
+def shown(value: Any) -> str:
+    """A value as a message of one line quotes it: itself, or its type if it is long."""
+    text = repr(value)
+    return text if len(text) <= QUOTED and "\n" not in text else f"a {type(value).__name__}"
 
 
 def select(keep: Array, new: Any, old: Any) -> Any:

@@ -7,14 +7,17 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxcrumple.model.fields import as_float
+from jaxcrumple.model.fields import as_float, as_numbers, is_known, require_finite, require_shape
 from jaxcrumple.model.stencil import upper_pairs
 
 # Share of a time of release by which the end of a step may miss it.
 ROUNDING = 1e-12
+# Distance of a start from its supports that counts as rounding, as a share of the sheet's size.
+START_ROUNDING = 1e-9
 
 
 class Gravity(eqx.Module):
@@ -23,13 +26,17 @@ class Gravity(eqx.Module):
     g: Array = eqx.field(converter=as_float)
     mass: Array = eqx.field(converter=as_float)
 
+    def __check_init__(self) -> None:
+        require_shape("g of Gravity", self.g, (3,))
+        require_finite("g of Gravity", self.g)
+
     def energy(self, x: Array) -> Array:
         """Potential energy in J, zero at the origin."""
-        return -jnp.sum(self.mass[:, None] * self.g * x)
+        return -jnp.sum(self.force() * x)
 
     def force(self) -> Array:
         """Nodal forces (n, 3) in N."""
-        return self.mass[:, None] * self.g
+        return self.mass[:, None] * self.g[None, :]
 
 
 class AbstractMotion(eqx.Module):
@@ -46,9 +53,34 @@ class LinearMotion(AbstractMotion):
     position: Array = eqx.field(converter=as_float)
     velocity: Array = eqx.field(converter=as_float)
 
+    def __check_init__(self) -> None:
+        if self.position.ndim != 2 or self.position.shape[1] != 3:
+            raise ValueError(
+                f"position of LinearMotion has shape {self.position.shape}; it must be (n, 3), for all "
+                "nodes of the sheet: only those in the mask of Prescribed are used."
+            )
+        require_shape("velocity of LinearMotion", self.velocity, (3,), self.position.shape)
+        require_finite("position of LinearMotion", self.position)
+        require_finite("velocity of LinearMotion", self.velocity)
+
     def __call__(self, t: Array) -> Array:
         """Positions at time `t`."""
-        return self.position + self.velocity * t
+        return self.position + jnp.broadcast_to(self.velocity, self.position.shape) * t
+
+
+def _as_mask(value: ArrayLike) -> Array:
+    mask = value if isinstance(value, Array) else np.asarray(value)
+    if mask.dtype != bool:
+        raise ValueError(
+            f"the mask of Prescribed has type {mask.dtype}; it must be bool, True where a component is held."
+        )
+    if mask.ndim != 2 or mask.shape[1] != 3:
+        raise ValueError(
+            f"the mask of Prescribed has shape {mask.shape}; it must be (n, 3): for whole nodes repeat it, "
+            "numpy.repeat(mask[:, None], 3, axis=1)."
+        )
+    with jax.transfer_guard("allow"):
+        return jnp.asarray(mask)
 
 
 class Prescribed(eqx.Module):
@@ -57,11 +89,30 @@ class Prescribed(eqx.Module):
     **Arguments:** `mask` (n, 3) bool, True where prescribed; `motion` an `AbstractMotion`; `until`: time in
     s of the release, after which all are free, or (n, 1) times of each node. Make them frame times, so that a
     step ends there.
+
+    A start must lie on the motion (`position(x, t)` puts it there). Velocities follow the motion.
     """
 
-    mask: Array
+    mask: Array = eqx.field(converter=_as_mask)
     motion: AbstractMotion
     until: Array = eqx.field(default=jnp.inf, converter=as_float)
+
+    def __check_init__(self) -> None:
+        nodes = self.mask.shape[0]
+        if not callable(self.motion):
+            raise ValueError(
+                f"the motion of Prescribed has type {type(self.motion).__name__}; it must be a "
+                "LinearMotion(position, velocity) or an AbstractMotion of your own."
+            )
+        require_shape("until of Prescribed", self.until, (), (nodes, 1))
+        if is_known(self.until) and np.any(np.isnan(self.until)):
+            raise ValueError("until of Prescribed is NaN; give the time of release in s, or leave it out.")
+        shape = jax.eval_shape(self.motion, jax.ShapeDtypeStruct((), jnp.result_type(float))).shape
+        if shape != self.mask.shape:
+            raise ValueError(
+                f"the motion of Prescribed gives positions {shape}; its mask is {self.mask.shape}: make both "
+                "(n, 3)."
+            )
 
     def held(self, t: Array) -> Array:
         """Components (n, 3) that are prescribed at time `t`; rounding does not release them."""
@@ -84,8 +135,71 @@ class Prescribed(eqx.Module):
         return jnp.where(self.held(t), 0.0, residual)
 
 
+def check_motion(prescribed: Prescribed, t: Any) -> None:
+    """Refuse a motion that is not finite at time `t` in s where it holds a node.
+
+    What JAX traces is not looked at.
+
+    **Raises:** ValueError that names the node.
+    """
+    held, there, velocity = _held_motion(prescribed, t)
+    if not is_known(held, there, velocity):
+        return
+    for name, value in (("position", there), ("velocity", velocity)):
+        bad = np.argwhere(np.asarray(held) & ~np.isfinite(np.asarray(value)))
+        if len(bad):
+            node = bad[0][0]
+            raise ValueError(
+                f"the motion of prescribed gives node {node} the {name} {np.asarray(value)[node]} at t = "
+                f"{float(t):g} s; it must be finite where the mask holds it."
+            )
+
+
+def check_supported(prescribed: Prescribed, x: ArrayLike, t: Any, size: Any) -> None:
+    """Refuse positions `x` (n, 3) in m that are not where the motion holds them at time `t` in s.
+
+    To rounding of the sheet's `size` in m; what JAX traces is not looked at.
+
+    **Raises:** ValueError that names the farthest node, its distance and the cure.
+    """
+    check_motion(prescribed, t)
+    held, there, _ = _held_motion(prescribed, t)
+    if not is_known(held, there, x, size):
+        return
+    away = np.where(held, np.asarray(there) - np.asarray(x), 0.0)
+    distance = np.linalg.norm(away, axis=1)
+    node = int(np.argmax(distance))
+    if distance[node] > START_ROUNDING * float(size):
+        raise ValueError(
+            f"node {node} starts {distance[node]:.3g} m from where its support holds it at t = {float(t):g} "
+            "s; start from scene.prescribed.position(x, t), or let the motion begin at the sheet."
+        )
+
+
+def _held_motion(prescribed: Prescribed, t: ArrayLike) -> tuple[Array, Array, Array]:
+    """Components that are held at time `t`, and the motion's positions and velocities (n, 3)."""
+    now = as_float(t)
+    return prescribed.held(now), prescribed.motion(now), _derivative(prescribed.motion, now)
+
+
 def _derivative(function: Callable[[Array], Array], t: Array) -> Array:
     return jax.jvp(function, (t,), (jnp.ones_like(t),))[1]
+
+
+def _as_elements(value: ArrayLike) -> Array:
+    nodes = as_numbers("nodes of ElementEnergy", value)
+    if nodes.ndim != 2:
+        raise ValueError(
+            f"nodes of ElementEnergy has shape {nodes.shape}; it must be (m, k), a row of k nodes for each "
+            "element: nodes[:, None] for single nodes."
+        )
+    sorted_rows = np.sort(np.asarray(nodes), axis=1) if is_known(nodes) else np.arange(1)[None]
+    twice = np.flatnonzero(np.any(np.diff(sorted_rows, axis=1) == 0, axis=1))
+    if twice.size:
+        raise ValueError(
+            f"element {twice[0]} of ElementEnergy has a node twice: {np.asarray(nodes)[twice[0]]}."
+        )
+    return nodes
 
 
 class ElementEnergy(eqx.Module):
@@ -98,9 +212,23 @@ class ElementEnergy(eqx.Module):
     - `parameters`: any pytree of arrays with leading axis m, sliced for each element (or None).
     """
 
-    nodes: Array
+    nodes: Array = eqx.field(converter=_as_elements)
     function: Callable[[Array, Any, Array], Array] = eqx.field(static=True)
     parameters: Any = None
+
+    def __check_init__(self) -> None:
+        if not callable(self.function):
+            raise ValueError(
+                f"the function of ElementEnergy is {self.function!r}; it must be function(x, parameters, t)."
+            )
+        m = self.nodes.shape[0]
+        for path, leaf in jax.tree_util.tree_leaves_with_path(self.parameters):
+            if np.shape(leaf)[:1] != (m,):
+                name = f"parameters{jax.tree_util.keystr(path)}"
+                raise ValueError(
+                    f"{name} of ElementEnergy has shape {np.shape(leaf)}; its first axis must be the {m} "
+                    "elements."
+                )
 
     def _map(self, transform: Callable, x: Array, t: Array) -> Array:
         return jax.vmap(transform(self.function), (0, 0, None))(x[self.nodes], self.parameters, t)
@@ -126,10 +254,18 @@ def dead_load(nodes: ArrayLike, force: ArrayLike, ramp: float) -> ElementEnergy:
     **Arguments:** `nodes` (m,) node numbers; `force` (m, 3) their final forces in N; `ramp` > 0.
 
     **Returns:** the load as an energy, $-\\sum f(t) \\cdot x$, zero for nodes at the origin.
+
+    **Raises:** ValueError for node numbers that are not whole, forces of another shape or not finite, or a
+    ramp that is not positive.
     """
-    numbers = jnp.asarray(nodes)
-    parameters = (as_float(force), jnp.full(numbers.shape, float(ramp)))
-    return ElementEnergy(numbers[:, None], _dead_energy, parameters)
+    numbers, final = as_numbers("nodes of a dead load", nodes), as_float(force)
+    require_shape("nodes of a dead load", numbers, (numbers.size,))
+    require_shape("force of a dead load", final, (*numbers.shape, 3))
+    require_finite("force of a dead load", final)
+    if is_known(ramp) and not (np.isfinite(ramp) and ramp > 0):
+        raise ValueError(f"ramp = {ramp!r} s of a dead load must be positive and finite.")
+    ramps = jnp.broadcast_to(as_float(ramp), numbers.shape)
+    return ElementEnergy(numbers[:, None], _dead_energy, (final, ramps))
 
 
 def _dead_energy(x: Array, parameters: tuple[Array, Array], t: Array) -> Array:

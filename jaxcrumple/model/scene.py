@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -12,10 +11,11 @@ from jax import Array
 from jaxcrumple.material import Material, ModelConstants
 from jaxcrumple.mesh import Mesh
 from jaxcrumple.model.bending import Bending
+from jaxcrumple.model.checks import check_surroundings, require_numbers
 from jaxcrumple.model.confinement import AbstractShape, Wall
-from jaxcrumple.model.contact import Contact, SelfContact, build_contact
+from jaxcrumple.model.contact import Contact, SelfContact, build_contact, check_options_of
 from jaxcrumple.model.damping import AbstractDashpot, CentralDashpot, Drag, PaperDashpot
-from jaxcrumple.model.fields import is_known
+from jaxcrumple.model.fields import door, is_known, require_finite, shown
 from jaxcrumple.model.loads import ElementEnergy, Gravity, Prescribed
 from jaxcrumple.model.membrane import Membrane
 from jaxcrumple.model.near import Near
@@ -75,6 +75,42 @@ class Scene(eqx.Module):
         return self.bending.rest_curvature if p is None else p
 
 
+def require_scene(scene: Any) -> None:
+    """Refuse what is no scene.
+
+    **Raises:** ValueError with its type.
+    """
+    if not isinstance(scene, Scene):
+        raise ValueError(f"scene has type {type(scene).__name__}; it must be what jaxcrumple.sheet makes.")
+
+
+def check_scene(scene: Any) -> None:
+    """Refuse what is no scene, or one whose numbers or parts were replaced by what cannot be.
+
+    Numbers that JAX traces are not looked at.
+
+    **Raises:** ValueError that names the part.
+    """
+    require_scene(scene)
+    hinges = scene.bending.nodes.shape[0]
+    gravity = None if scene.gravity is None else scene.gravity.g
+    surroundings = (scene.walls, gravity, scene.prescribed, scene.extra, scene.plasticity)
+    check_surroundings(scene.n_nodes, hinges, *surroundings)
+    for name, value in (
+        ("mass", scene.mass), ("area", scene.area), ("membrane.rest_length", scene.membrane.rest_length)
+    ):  # fmt: skip
+        require_numbers(f"scene.{name}", value, positive=True)
+    for name, value in (
+        ("membrane.stiffness", scene.membrane.stiffness),
+        ("bending.stiffness", scene.bending.stiffness),
+        ("drag.coefficient", None if scene.drag is None else scene.drag.coefficient),
+        ("damping.coefficient", None if scene.damping is None else scene.damping.coefficient),
+    ):
+        if value is not None:
+            require_numbers(f"scene.{name}", value)
+    require_finite("scene.bending.rest_curvature", scene.bending.rest_curvature)
+
+
 def with_near(scene: Scene, near: Near) -> Scene:
     """The scene with another list of interacting sites, and the tangent's pattern that goes with it."""
     assert scene.contact is not None
@@ -88,6 +124,7 @@ def with_near(scene: Scene, near: Near) -> Scene:
     )  # fmt: skip
 
 
+@door
 def sheet(
     mesh: Mesh,
     material: Material,
@@ -118,17 +155,24 @@ def sheet(
     - `like`: a scene of the same mesh, stencils and contact, from which the tangent's pattern, the refinement
       of contact and its lists are taken.
 
-    **Returns:** a `Scene`. **Raises:** ValueError when x64 is off, or for an unknown option, a wall that is
-    none, a gravity that is not three finite numbers, a mask of another shape, or a scene that is not alike.
+    **Returns:** a `Scene`. **Raises:** ValueError when x64 is off, or for an unknown option, walls, supports,
+    energies or a flow rule of another type, of shapes that do not fit the mesh, with node numbers that it
+    lacks, or with numbers that are not finite, or a scene that is not alike.
     """
-    _require_x64()
+    if not isinstance(mesh, Mesh):
+        raise ValueError(
+            f"mesh = {shown(mesh)} must be a Mesh: Mesh.from_arrays(vertices, faces), disc(...)."
+        )
+    if not isinstance(material, Material):
+        raise ValueError(f"material = {shown(material)} must be a Material, e.g. Material(thickness=1e-4).")
     if damping not in ("central", "paper"):
         raise ValueError(f"damping={damping!r} is unknown; choose 'central' or 'paper'.")
-    _check_surroundings(mesh, walls, gravity, prescribed)
+    _check_walls(walls)
+    check_surroundings(mesh.n_nodes, len(mesh.hinges), walls, gravity, prescribed, extra, plasticity)
     if contact is not None and not isinstance(contact, SelfContact):
         raise ValueError(f"contact = {contact!r} must be SelfContact(...), or None for a phantom sheet.")
     if like is not None:
-        _check_alike(mesh, contact, like)
+        _check_alike(mesh, contact, extra, like)
     constants = material.discretize(mesh)
     edges, hinges = jnp.asarray(mesh.edges), jnp.asarray(mesh.hinges)
     mass = jnp.asarray(constants.mass)
@@ -180,29 +224,30 @@ def _contact(
     return build_contact(mesh, constants, options, None if like is None else like.contact)
 
 
-def _check_alike(mesh: Mesh, contact: SelfContact | None, like: Scene) -> None:
-    same = like.n_nodes == mesh.n_nodes and like.membrane.nodes.shape == mesh.edges.shape
-    if not same or (contact is None) != (like.contact is None):
+def _check_alike(mesh: Mesh, contact: SelfContact | None, extra: Sequence[ElementEnergy], like: Any) -> None:
+    if not isinstance(like, Scene):
+        raise ValueError(f"like has type {type(like).__name__}; it must be a Scene.")
+    pairs = [(mesh.edges, like.membrane.nodes), (mesh.hinges, like.bending.nodes)]
+    same = all(np.array_equal(*pair) for pair in pairs if is_known(pair))
+    if not same or like.n_nodes != mesh.n_nodes or (contact is None) != (like.contact is None):
         raise ValueError(
             "the scene that this one is to be like has another mesh, or contact where this one has none, or "
             "the other way round; leave `like` out."
         )
+    own, its = ([term.nodes for term in terms] for terms in (extra, like.extra))
+    if len(own) != len(its) or (is_known(own, its) and not all(map(np.array_equal, own, its))):
+        raise ValueError(
+            "the scene that this one is to be like has an `extra` with other nodes; leave `like` out."
+        )
+    if contact is not None and like.contact is not None:
+        check_options_of(contact, like.contact)
 
 
-def _check_surroundings(mesh: Mesh, walls, gravity, prescribed: Prescribed | None) -> None:
+def _check_walls(walls: Any) -> None:
     if not isinstance(walls, Sequence) or not all(isinstance(w, Wall | AbstractShape) for w in walls):
-        raise ValueError(f"walls = {walls!r} must be a list of shapes or walls: [Sphere(center, radius)].")
-    for index, wall in enumerate(walls):
-        numbers = jax.tree.leaves(eqx.filter(wall, eqx.is_array))
-        if any(is_known(part) and np.any(np.isnan(part)) for part in numbers):
-            raise ValueError(f"wall {index} ({type(wall).__name__}) has NaN among its numbers.")
-    if gravity is not None and np.shape(gravity) != (3,):
-        raise ValueError(f"gravity = {gravity!r} must be three accelerations in m/s2, e.g. (0, 0, -9.81).")
-    if gravity is not None and is_known(gravity) and not np.all(np.isfinite(gravity)):
-        raise ValueError(f"gravity = {gravity!r} must be finite.")
-    shape = (mesh.n_nodes, 3)
-    if prescribed is not None and prescribed.mask.shape != shape:
-        raise ValueError(f"the mask of prescribed has shape {prescribed.mask.shape}; it must be {shape}.")
+        raise ValueError(
+            f"walls = {shown(walls)} must be a list of shapes or walls: [Sphere(center, radius)]."
+        )
 
 
 def _wall(wall: Wall | AbstractShape, mesh: Mesh, constants) -> Wall:
@@ -226,11 +271,3 @@ def _velocity_scale(mesh: Mesh, material: Material) -> Array:
 def _is_present(values: Any) -> bool:
     """Whether a term has numbers other than 0; what JAX traces is taken to have."""
     return not is_known(values) or bool(np.any(values))
-
-
-def _require_x64() -> None:
-    if jnp.asarray(0.0).dtype != jnp.float64:
-        raise ValueError(
-            "jaxcrumple needs float64: forces nearly cancel and float32 loses them. "
-            'Call jax.config.update("jax_enable_x64", True) before you build a scene.'
-        )

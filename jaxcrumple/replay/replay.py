@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxcrumple.model.fields import door
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.replay.contacts import Lists, as_listed, near_step, with_lists
 from jaxcrumple.replay.record import Record, Steps
@@ -30,6 +31,7 @@ class Replay(NamedTuple):
     error: Array
 
 
+@door
 def replay(
     scene: Scene,
     record: Record,

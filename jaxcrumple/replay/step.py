@@ -101,7 +101,7 @@ def solved(
             return linear.factor(scene.pattern, step.tangent(scene, past, carry.x), carry.factor)
 
         factor = jax.lax.cond(carry.renew, renewed, lambda: carry.factor)
-        values = factor.values if linear.exact else step.tangent(scene, past, carry.x)
+        values = None if linear.exact else step.tangent(scene, past, carry.x)
         value = step.residual(scene, past, carry.x)
         solution = linear.solve(scene.pattern, factor, values, -value.reshape(-1), FORCING)
         update = jnp.max(jnp.abs(solution.x)) / scene.length_scale

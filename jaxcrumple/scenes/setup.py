@@ -1,14 +1,33 @@
 """What a scene's function makes: all that a run needs but its solver."""
 
-from typing import NamedTuple
+import functools
+from typing import Any, NamedTuple
 
+import equinox as eqx
+import jax
+import numpy as np
 from jax import Array
 
-from jaxcrumple.material import Material
+from jaxcrumple.material import Material, changed
 from jaxcrumple.mesh import Mesh
+from jaxcrumple.model.confinement import AbstractShape, Wall
 from jaxcrumple.model.contact import SelfContact
 from jaxcrumple.model.damping import PaperDashpot
+from jaxcrumple.model.fields import is_known
+from jaxcrumple.model.plasticity import AbstractFlowRule
 from jaxcrumple.model.scene import Scene, sheet
+
+# Relative difference of numbers that counts as rounding.
+ROUNDING = 1e-12
+# Numbers of a scene that follow from its mesh, so that others in their place are kept; and those that follow
+# from its material.
+_SHAPE = ("bending.rest_curvature", "membrane.rest_length")
+_MATERIAL = (
+    "mass", "area", "reference_acceleration", "velocity_scale", "membrane.stiffness", "bending.stiffness",
+    "drag", "damping", "gravity.mass", "contact.stiffness", "contact.range", "contact.core",
+    "contact.density",
+)  # fmt: skip
+_YIELD = ("yield_curvature", "yield_c0", "gamma", "plastic_time")
 
 
 class Setup(NamedTuple):
@@ -22,17 +41,90 @@ class Setup(NamedTuple):
     material: Material | None = None
 
     def made_of(self, material: Material) -> Scene:
-        """The scene with the sheet of another material, and walls and contact as they follow from that: a
-        function with derivatives."""
+        """The scene with the sheet of another material, and walls and contact as they follow from that.
+
+        A function with derivatives. What does not follow from the setup's own material stays as it is: walls
+        with a stiffness or a range of their own, a flow rule of your own, rest curvatures and rest lengths.
+
+        **Raises:** ValueError for a setup that does not say its material, or whose scene has other numbers
+        than follow from it; or where a yield point changes, but the flow rule does not follow from it.
+        """
+        scene, own = self.scene, self._as_its_material_makes_it()
+        for name in _MATERIAL:
+            if not _alike(_part(scene, name), _part(own, name)):
+                raise ValueError(
+                    f"{name} of the setup's scene is not what its material makes it, so no other material "
+                    "tells it: build the scene by jaxcrumple.sheet(mesh, material, ...), and replace "
+                    f"{name} there."
+                )
+        rule = None if _alike(scene.plasticity, own.plasticity) else scene.plasticity
+        if rule is None and scene.plasticity is None and own.plasticity is not None:
+            raise ValueError(
+                "the setup's scene has no plasticity, but its material yields: give the setup an elastic "
+                "one, Material(yield_curvature=None)."
+            )
+        assert self.material is not None
+        for name in _YIELD:
+            if rule is not None and changed(name, self.material, material):
+                raise ValueError(
+                    f"{name} changes, but the setup's flow rule, {type(rule).__name__}, does not follow from "
+                    "its material; replace the numbers of the rule by eqx.tree_at."
+                )
+        pairs = zip(scene.walls, own.walls, strict=True)
+        walls = [wall.shape if _alike(_law(wall), _law(its)) else wall for wall, its in pairs]
+        made = self._made(material, walls, rule)
+        for name in _SHAPE:
+            if not _alike(_part(scene, name), _part(own, name)):
+                made = eqx.tree_at(functools.partial(_part, name=name), made, _part(scene, name))
+        return made
+
+    def _as_its_material_makes_it(self) -> Scene:
+        """The scene with nothing but what follows from the setup's own material."""
+        if self.material is None:
+            raise ValueError(
+                "the setup does not say its material, so it is not known what follows from it: make it "
+                "Setup(mesh, scene, x, contact, material)."
+            )
+        if not is_known(*vars(self.material).values()):
+            raise ValueError("made_of needs a setup of plain numbers: make it outside of jit, grad and vmap.")
+        with jax.ensure_compile_time_eval():
+            return self._made(self.material, [wall.shape for wall in self.scene.walls], None)
+
+    def _made(
+        self, material: Material, walls: list[Wall | AbstractShape], plasticity: AbstractFlowRule | None
+    ) -> Scene:
         scene = self.scene
         return sheet(
             self.mesh,
             material,
-            walls=[wall.shape for wall in scene.walls],
+            walls=walls,
             gravity=None if scene.gravity is None else tuple(scene.gravity.g),
             prescribed=scene.prescribed,
             extra=scene.extra,
+            plasticity=plasticity,
             damping="paper" if isinstance(scene.damping, PaperDashpot) else "central",
             contact=self.contact,
             like=scene,
         )
+
+
+def _part(scene: Scene, name: str) -> Any:
+    """A part by its dotted name; None where the scene lacks it."""
+    found: Any = scene
+    for step in name.split("."):
+        found = getattr(found, step, None)
+    return found
+
+
+def _law(wall: Wall) -> tuple[type, Array, Array]:
+    """What of a wall follows from the material."""
+    return type(wall), wall.stiffness, wall.range
+
+
+def _alike(one: Any, other: Any) -> bool:
+    """Whether two trees are the same to rounding; numbers that JAX traces are like no others."""
+    numbers, rest = eqx.partition((one, other), eqx.is_array)
+    if not (eqx.tree_equal(*rest) is True and is_known(numbers)):
+        return False
+    pairs = zip(*map(jax.tree.leaves, numbers), strict=True)
+    return all(np.shape(a) == np.shape(b) and np.allclose(a, b, rtol=ROUNDING, atol=0.0) for a, b in pairs)

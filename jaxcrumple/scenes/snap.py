@@ -6,8 +6,10 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from jaxcrumple.material import Material
+from jaxcrumple.model.fields import door
 from jaxcrumple.model.loads import LinearMotion, Prescribed
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.renewal import with_contacts
@@ -36,6 +38,7 @@ class Drop(NamedTuple):
     potential: float
 
 
+@door
 def energy_drop(scene: Scene, before: State, after: State, *, force_tolerance: float = 1e-9) -> Drop:
     """Drop of relaxed energy between two states, both brought to rest under the load that `before` bears.
 
@@ -58,6 +61,7 @@ def energy_drop(scene: Scene, before: State, after: State, *, force_tolerance: f
     return Drop(first, second, one[0] - two[0], one[1] - two[1])
 
 
+@door
 def relaxed_drop(
     setup: Setup, before: float, after: float, *, steps: int = 20, force_tolerance: float = 1e-9
 ) -> Drop:
@@ -75,8 +79,10 @@ def relaxed_drop(
     return energy_drop(scene, state, beyond, force_tolerance=force_tolerance)
 
 
-def _rest(scene: Scene, state: State, t, force_tolerance: float) -> Relaxed:
-    moved = eqx.tree_at(lambda s: s.t, state, jnp.asarray(t, float))
+def _rest(scene: Scene, state: State, t: ArrayLike, force_tolerance: float) -> Relaxed:
+    t = jnp.asarray(t, float)
+    x = state.x if scene.prescribed is None else scene.prescribed.position(state.x, t)
+    moved = eqx.tree_at(lambda s: (s.t, s.x), state, (t, x))
     rest = relax(scene, moved, force_tolerance=force_tolerance)
     if not rest.converged:
         raise ValueError(

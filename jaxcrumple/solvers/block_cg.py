@@ -39,9 +39,10 @@ class BlockCG(AbstractLinearSolver):
         return Factor(values, _inverses(lower), jnp.where(sound, -1, 1))
 
     def solve(
-        self, pattern: Pattern, factor: Factor, values: Array, rhs: Array, rtol: Array | float
+        self, pattern: Pattern, factor: Factor, values: Array | None, rhs: Array, rtol: Array | float
     ) -> Solution:
         """Conjugate gradients; `indefinite` is set when a direction of negative curvature appears."""
+        values = factor.values if values is None else values
         rows = pattern.expand(values)
         return conjugate_gradients(
             lambda d: pattern.expanded_product(rows, d) + pattern.contact_product(values, d),

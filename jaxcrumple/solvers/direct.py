@@ -62,10 +62,10 @@ class Direct(AbstractLinearSolver):
         return Factor(safe, _Workspace(token, matrix), negative)
 
     def solve(
-        self, pattern: Pattern, factor: Factor, values: Array, rhs: Array, rtol: Array | float
+        self, pattern: Pattern, factor: Factor, values: Array | None, rhs: Array, rtol: Array | float
     ) -> Solution:
-        """One back substitution if the factor is of these `values`; else conjugate gradients with it."""
-        if values is factor.values:
+        """One back substitution for the factor's own values; for others conjugate gradients with it."""
+        if values is None:
             return Solution(_substitute(pattern, factor, rhs), jnp.asarray(1), factor.negative > 0)
         return conjugate_gradients(
             lambda d: pattern.product(values, d),

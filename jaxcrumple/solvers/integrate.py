@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxcrumple.model.fields import as_float, select
+from jaxcrumple.model.fields import as_float, door, require_shape, select
 from jaxcrumple.model.lanes import where_needed
 from jaxcrumple.model.near import motion
 from jaxcrumple.model.scene import Scene
@@ -35,9 +35,9 @@ from jaxcrumple.solvers.lists import (
 )
 from jaxcrumple.solvers.log import STEP, Log, append, empty_log, follow
 from jaxcrumple.solvers.newton import must_restore
-from jaxcrumple.solvers.scheme import Integrator
+from jaxcrumple.solvers.scheme import Integrator, checked_solver
 from jaxcrumple.solvers.switch import observe
-from jaxcrumple.state import CAUSES, EXPLICIT, RESULTS, Counters, State
+from jaxcrumple.state import CAUSES, EXPLICIT, RESULTS, Counters, State, check_state
 
 # Cost units: a call ends after BUDGET units, so that its caller can save, and reports in between.
 BUDGET = 4096
@@ -68,6 +68,7 @@ class _Carry(NamedTuple):
     done: Array
 
 
+@door
 def integrate(
     scene: Scene,
     state: State,
@@ -85,7 +86,12 @@ def integrate(
     after which it ends; 0 for none and no end.
 
     **Returns:** the new `State` and the `Log` of this call.
+
+    **Raises:** ValueError for a state of another scene or what is no solver.
     """
+    check_state(scene, state)
+    checked_solver(solver)
+    require_shape("t_stop", t_stop, ())
     scene = scene if solver.one_matrix else without_places(scene)
     state, lists = start_lists(scene, state, solver.has(EXPLICIT))
     start_h = jnp.where(state.h > 0, state.h, jnp.minimum(solver.first_step, solver.max_step))

@@ -48,14 +48,14 @@ class AbstractLinearSolver(eqx.Module):
 
     @abc.abstractmethod
     def solve(
-        self, pattern: Pattern, factor: Factor, values: Array, rhs: Array, rtol: Array | float
+        self, pattern: Pattern, factor: Factor, values: Array | None, rhs: Array, rtol: Array | float
     ) -> Solution:
         """Solve A x = `rhs` (3n,), A being `values`, until the residual is `rtol` of it; the factor may
-        be that of older values."""
+        be that of older values. None for the factor's own values."""
 
     def solve_factored(self, pattern: Pattern, factor: Factor, rhs: Array, rtol: Array | float) -> Array:
         """Solution (3n,) for the factor's own values, to `rtol` at least."""
-        return self.solve(pattern, factor, factor.values, rhs, rtol).x
+        return self.solve(pattern, factor, None, rhs, rtol).x
 
     def solve_once(
         self, pattern: Pattern, start: Factor, values: Array, rhs: Array, rtol: Array | float

@@ -86,10 +86,10 @@ def newton(
         here = select(restores, (old.step, old.x), (step, carry.x))
         return linear.factor(scene.pattern, linearize(scene, *here)[1], carry.factor)
 
-    def tangent(carry: _Carry) -> tuple[Array, Factor]:
+    def tangent(carry: _Carry) -> tuple[Array | None, Factor]:
         if linear.exact:
             factor = jax.lax.cond(carry.renew, renewed, lambda carry: carry.factor, carry)
-            return factor.values, factor
+            return None, factor
         _, values = linearize(scene, step, carry.x)
         factor = where_needed(carry.renew, linear.factor, carry.factor, scene.pattern, values, carry.factor)
         return values, factor

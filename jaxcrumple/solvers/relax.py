@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxcrumple.memory import require_run
-from jaxcrumple.model.fields import as_float, is_known
+from jaxcrumple.model.fields import as_float, door, is_known
 from jaxcrumple.model.near import motion
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.renewal import Renewal
@@ -59,6 +59,7 @@ class _Carry(NamedTuple):
     held_up: Array
 
 
+@door
 def relax(
     scene: Scene,
     state: State,

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from jaxcrumple.model.fields import as_float
+from jaxcrumple.model.fields import as_float, door
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.choice import choose_linear_solver
 from jaxcrumple.solvers.explicit import AbstractExplicit
@@ -89,6 +89,17 @@ def switch_of(scheme: str, rtol: float, **options: Any) -> Switch:
     return Switch(**own | options)
 
 
+def checked_solver(solver: Any) -> Integrator:
+    """The solver of a run.
+
+    **Raises:** ValueError for what is none.
+    """
+    if not isinstance(solver, Integrator):
+        raise ValueError(f"solver = {solver!r} must be what jaxcrumple.integrator(rtol, scheme=...) makes.")
+    return solver
+
+
+@door
 def integrator(
     rtol: float = 1e-2,
     *,

@@ -5,7 +5,9 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.typing import ArrayLike
 
+from jaxcrumple.model.fields import as_float, door
 from jaxcrumple.model.pattern import Pattern
 from jaxcrumple.solvers.choice import choose_linear_solver
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
@@ -14,8 +16,13 @@ from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
 SLACK = 10.0
 
 
+@door
 def linear_solve(
-    solver: str | AbstractLinearSolver, pattern: Pattern, values: Array, rhs: Array, rtol: float = 1e-10
+    solver: str | AbstractLinearSolver,
+    pattern: Pattern,
+    values: ArrayLike,
+    rhs: ArrayLike,
+    rtol: float = 1e-10,
 ) -> Array:
     """Solution (3n,) of A x = `rhs`, differentiable with respect to `values` (size,) and `rhs`.
 
@@ -31,6 +38,9 @@ def linear_solve(
     **Raises:** ValueError for an unknown solver, or arrays that do not fit the pattern.
     """
     solver = choose_linear_solver(solver)
+    if not isinstance(pattern, Pattern):
+        raise ValueError(f"pattern has type {type(pattern).__name__}; it must be scene.pattern.")
+    values, rhs = as_float(values), as_float(rhs)
     size = pattern.diagonal.shape
     if values.shape != (pattern.size,) or rhs.shape != size:
         raise ValueError(

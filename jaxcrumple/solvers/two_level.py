@@ -67,9 +67,10 @@ class TwoLevel(AbstractLinearSolver):
         return Factor(values, levels, jnp.where(sound & definite, -1, 1))
 
     def solve(
-        self, pattern: Pattern, factor: Factor, values: Array, rhs: Array, rtol: Array | float
+        self, pattern: Pattern, factor: Factor, values: Array | None, rhs: Array, rtol: Array | float
     ) -> Solution:
         """Conjugate gradients; `indefinite` is set when a direction of negative curvature appears."""
+        values = factor.values if values is None else values
         rows = pattern.expand(values)
         levels, space = factor.workspace, pattern.coarse
         weights = _cell_weights(space).astype(jnp.float32)

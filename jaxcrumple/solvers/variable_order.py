@@ -141,7 +141,7 @@ class VariableOrder(AbstractImplicit):
         first = (state.stage != IMPLICIT) & (state.history.count == 1)
 
         def solve(pattern: Pattern, factor: Factor, pull: Array) -> Array:
-            solution = self.linear.solve(pattern, factor, factor.values, pull.reshape(-1), FORCING)
+            solution = self.linear.solve(pattern, factor, None, pull.reshape(-1), FORCING)
             return solution.x.reshape(pull.shape)
 
         return where_needed(first, solve, change, scene.pattern, factor, pull)

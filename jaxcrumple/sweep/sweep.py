@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from jaxcrumple.memory import require_run
+from jaxcrumple.model.fields import door
 from jaxcrumple.scenes import Setup
 from jaxcrumple.simulate import checked_times
 from jaxcrumple.solvers.scheme import Integrator
@@ -24,6 +25,7 @@ from jaxcrumple.sweep.table import Measure, Tell, check_names, measured, standar
 Backend = Literal["auto", "batch", "processes"]
 
 
+@door
 def sweep(
     scene: Scenes,
     over: Mapping[str, Iterable[Any]],
