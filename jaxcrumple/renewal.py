@@ -23,7 +23,7 @@ from jaxcrumple.model.near import (
     no_neighbors,
 )
 from jaxcrumple.model.neighbors import find_near
-from jaxcrumple.model.scene import Scene, with_near
+from jaxcrumple.model.scene import Scene, require_scene, with_near
 from jaxcrumple.model.search import Search
 from jaxcrumple.programs import make_room
 from jaxcrumple.state import Listing, State, check_positions, first_listing
@@ -181,6 +181,7 @@ def with_contacts(scene: Scene, x: ArrayLike | State, needed: ArrayLike | None =
 
     **Raises:** ValueError for positions of another shape or not finite, or inside a function that JAX traces.
     """
+    require_scene(scene)
     contact = scene.contact
     if contact is None:
         return scene

@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from jaxcrumple.memory import require, require_run
-from jaxcrumple.model.fields import as_float, door
+from jaxcrumple.model.fields import as_float, door, is_number, require_limit
 from jaxcrumple.model.loads import check_motion
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.programs import make_room
@@ -135,9 +135,10 @@ def simulate(
       solved further than usual, and it keeps positions (n, 3) for each step.
 
     **Raises:** ValueError for times that are not finite, not increasing or before the state's, for a
-    state of another scene or what is not a solver, for frames that surely exceed the memory, and for a start
-    from which no run can proceed: behind a wall, with a hinge at 180 degrees or, in a scene with contact,
-    passing through itself.
+    state of another scene or away from its supports, a motion that is not finite at a frame time, what is not
+    a solver, a budget below 0, for frames that surely exceed the memory, and for a start from which no run
+    can proceed: behind a wall, with a hinge at 180 degrees or, in a scene with contact, passing through
+    itself.
     """
     check_state(scene, state)
     check_start(scene, state)
@@ -147,6 +148,8 @@ def simulate(
         for stop in stops[first_frame:]:
             check_motion(scene.prescribed, stop)
     solver = integrator() if solver is None else checked_solver(solver)
+    require_limit("max_attempts", max_attempts)
+    require_limit("max_seconds", max_seconds)
     kept, recorder = _Kept(), None
     if record:
         recorder = Recorder(state, solver)
@@ -186,10 +189,10 @@ def simulate(
 
 def frame_times(t_end: float, frames: int) -> np.ndarray:
     """`frames` + 1 evenly spaced times from 0 to `t_end` in s."""
-    if not (np.isfinite(t_end) and t_end > 0):
+    if not (is_number(t_end) and np.isfinite(t_end) and t_end > 0):
         raise ValueError(f"t_end = {t_end!r} s must be a positive time.")
-    if frames < 1:
-        raise ValueError(f"frames = {frames!r} must be at least 1.")
+    if not isinstance(frames, int | np.integer) or frames < 1:
+        raise ValueError(f"frames = {frames!r} must be at least 1, a whole number.")
     require(8.0 * frames, f"a list of {frames} frame times", "choose fewer frames")
     return np.linspace(0.0, t_end, frames + 1)
 
@@ -207,6 +210,8 @@ def checked_times(times: ArrayLike, first_frame: int = 0, now: float = 0.0) -> n
             f"times = {times!r} must be finite, increasing and end after 0: frame times in seconds, "
             "or the end time."
         )
+    if not isinstance(first_frame, int | np.integer):
+        raise ValueError(f"first_frame = {first_frame!r} must be a whole number.")
     if not 0 <= first_frame <= len(stops):
         raise ValueError(f"first_frame = {first_frame} lies outside the {len(stops)} frame times.")
     if first_frame < len(stops) and stops[first_frame] < now:

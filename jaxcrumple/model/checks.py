@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxcrumple.model.confinement import AbstractShape, Wall
-from jaxcrumple.model.fields import is_known, require_finite, require_shape, shown
+from jaxcrumple.model.fields import is_known, require_numbers, require_shape, shown
 from jaxcrumple.model.loads import ElementEnergy, Prescribed
 from jaxcrumple.model.plasticity import AbstractFlowRule
 
@@ -43,22 +43,6 @@ def check_surroundings(
         _check_element_energy(f"extra {index}", term, nodes)
     if plasticity is not None:
         _check_flow_rule(plasticity, hinges)
-
-
-def require_numbers(what: str, value: Any, *, positive: bool = False) -> None:
-    """Refuse numbers that are not finite or negative, or not `positive`; what JAX traces is not looked at.
-
-    **Raises:** ValueError that names the first one.
-    """
-    require_finite(what, value)
-    if not is_known(value):
-        return
-    array = np.asarray(value)
-    bad = np.argwhere(array <= 0 if positive else array < 0)
-    if len(bad):
-        place = f"[{', '.join(map(str, bad[0]))}]" if array.ndim else ""
-        wanted = "positive" if positive else "zero or positive"
-        raise ValueError(f"{what}{place} is {array[tuple(bad[0])]}; it must be {wanted}.")
 
 
 def _check_wall(name: str, wall: Wall | AbstractShape, nodes: int) -> None:

@@ -11,10 +11,11 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxcrumple.model.fields import as_float
+from jaxcrumple.model.fields import as_float, is_known, require_numbers, require_shape
 from jaxcrumple.model.geometry import dot
 
 # Nearness s from which the law goes on as its Taylor polynomial of second order: so Newton's iterates may lie
@@ -25,6 +26,8 @@ NEAREST_SLOPE = NEAREST**2 * (3.0 - 2.0 * NEAREST) / (3.0 * (1.0 - NEAREST) ** 2
 NEAREST_CURVATURE = 2.0 * (1.0 / (1.0 - NEAREST) ** 3 - 1.0) / 3.0
 # Guards the distance to a centre or an axis, m^2: far below any length that matters here.
 TINY = 1e-30
+# How far from 1 the length of a unit vector may be.
+UNIT_ROUNDING = 1e-6
 
 
 class Ramp(eqx.Module):
@@ -34,6 +37,10 @@ class Ramp(eqx.Module):
     start: Array = eqx.field(converter=as_float)
     rate: Array = eqx.field(converter=as_float)
     until: Array | float = eqx.field(default=jnp.inf, converter=as_float)
+
+    def __check_init__(self) -> None:
+        for name in ("start", "rate", "until"):
+            require_shape(f"{name} of Ramp", getattr(self, name), ())
 
     def __call__(self, t: Array) -> Array:
         """Value at time `t`."""
@@ -46,6 +53,13 @@ class Corners(eqx.Module):
 
     times: Array = eqx.field(converter=as_float)
     values: Array = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        require_shape("times of Corners", self.times, (self.times.size,))
+        require_shape("values of Corners", self.values, self.times.shape)
+        times = self.times
+        if times.size == 0 or (is_known(times) and not np.all(np.diff(np.asarray(times)) >= 0)):
+            raise ValueError("times of Corners must be at least one time in s, and must not decrease.")
 
     def __call__(self, t: Array) -> Array:
         """Value at time `t`."""
@@ -65,11 +79,29 @@ class AbstractShape(eqx.Module):
         """Signed distance in m from the `point` (3,) to the wall at time `t`; positive inside."""
 
 
+def _check_vectors(shape: AbstractShape, *points: str, unit: str | None = None) -> None:
+    """Refuse fields that are not vectors (3,), or not of length 1."""
+    names = points if unit is None else (*points, unit)
+    for name in names:
+        require_shape(f"{name} of {type(shape).__name__}", getattr(shape, name), (3,))
+    if unit is None or not is_known(getattr(shape, unit)):
+        return
+    size = float(np.linalg.norm(np.asarray(getattr(shape, unit))))
+    if abs(size - 1.0) > UNIT_ROUNDING:
+        raise ValueError(
+            f"{unit} of {type(shape).__name__} has length {size:.6g}; it must be a unit vector: divide it by "
+            "its length."
+        )
+
+
 class Sphere(AbstractShape):
     """The inside of a sphere: `center` (3,) in m, `radius` in m, a number or a callable of time."""
 
     center: Array = eqx.field(converter=as_float)
     radius: Callable[[Array], Array] = eqx.field(converter=of_time)
+
+    def __check_init__(self) -> None:
+        _check_vectors(self, "center")
 
     def gap(self, point: Array, t: Array) -> Array:
         """Radius minus distance from the centre."""
@@ -87,6 +119,9 @@ class Cylinder(AbstractShape):
     axis: Array = eqx.field(converter=as_float)
     radius: Callable[[Array], Array] = eqx.field(converter=of_time)
 
+    def __check_init__(self) -> None:
+        _check_vectors(self, "center", unit="axis")
+
     def gap(self, point: Array, t: Array) -> Array:
         """Radius minus distance from the axis."""
         offset = point - self.center
@@ -102,6 +137,9 @@ class Plane(AbstractShape):
 
     normal: Array = eqx.field(converter=as_float)
     offset: Callable[[Array], Array] = eqx.field(converter=of_time)
+
+    def __check_init__(self) -> None:
+        _check_vectors(self, unit="normal")
 
     def gap(self, point: Array, t: Array) -> Array:
         """Height above the plane."""
@@ -119,6 +157,15 @@ class Cone(AbstractShape):
     axis: Array = eqx.field(converter=as_float)
     half_angle: Array = eqx.field(converter=as_float)
     height: Callable[[Array], Array] = eqx.field(converter=of_time)
+
+    def __check_init__(self) -> None:
+        _check_vectors(self, "center", unit="axis")
+        require_shape("half_angle of Cone", self.half_angle, ())
+        if is_known(self.half_angle) and not 0.0 < float(self.half_angle) < 0.5 * np.pi:
+            raise ValueError(
+                f"half_angle = {float(self.half_angle):g} rad of Cone must lie between 0 and pi/2; use "
+                "numpy.radians for degrees."
+            )
 
     def gap(self, point: Array, t: Array) -> Array:
         """Distance from the cone's surface."""
@@ -140,6 +187,10 @@ class Ball(AbstractShape):
     radius: Array = eqx.field(converter=as_float)
     height: Callable[[Array], Array] = eqx.field(converter=of_time)
 
+    def __check_init__(self) -> None:
+        _check_vectors(self, "center", unit="axis")
+        require_numbers("radius of Ball", self.radius, positive=True)
+
     def gap(self, point: Array, t: Array) -> Array:
         """Distance from the centre minus radius."""
         offset = point - self.center - self.height(t) * self.axis
@@ -158,6 +209,10 @@ class Opening(AbstractShape):
     axis: Array = eqx.field(converter=as_float)
     radius: Callable[[Array], Array] = eqx.field(converter=of_time)
     edge: Array = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        _check_vectors(self, "center", unit="axis")
+        require_numbers("edge of Opening", self.edge)
 
     def gap(self, point: Array, t: Array) -> Array:
         """Distance from the plate's surface."""

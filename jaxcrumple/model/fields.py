@@ -93,6 +93,22 @@ def require_finite(what: str, value: Any) -> None:
         raise ValueError(f"{what}{place} is {array[tuple(bad[0])]}; it must be finite.")
 
 
+def require_numbers(what: str, value: Any, *, positive: bool = False) -> None:
+    """Refuse numbers that are not finite or negative, or not `positive`; what JAX traces is not looked at.
+
+    **Raises:** ValueError that names the first one.
+    """
+    require_finite(what, value)
+    if not is_known(value):
+        return
+    array = np.asarray(value)
+    bad = np.argwhere(array <= 0 if positive else array < 0)
+    if len(bad):
+        place = f"[{', '.join(map(str, bad[0]))}]" if array.ndim else ""
+        wanted = "positive" if positive else "zero or positive"
+        raise ValueError(f"{what}{place} is {array[tuple(bad[0])]}; it must be {wanted}.")
+
+
 def require_shape(what: str, value: Any, *shapes: tuple[int, ...]) -> None:
     """Refuse an array of a shape that is not among `shapes`.
 
@@ -100,6 +116,21 @@ def require_shape(what: str, value: Any, *shapes: tuple[int, ...]) -> None:
     """
     if np.shape(value) not in shapes:
         raise ValueError(f"{what} has shape {np.shape(value)}; it must be {' or '.join(map(str, shapes))}.")
+
+
+def require_limit(name: str, value: Any) -> None:
+    """Refuse a limit that is not a number from 0 on, or None.
+
+    **Raises:** ValueError that names it.
+    """
+    if value is not None and not (is_number(value) and value >= 0):
+        raise ValueError(f"{name} = {shown(value)} must be zero or more; leave it out for no limit.")
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value is one real number of Python, NumPy or JAX, or one that JAX traces."""
+    kind = getattr(np.asarray(value) if is_known(value) else value, "dtype", np.dtype(object)).kind
+    return kind in "iuf" and np.shape(value) == ()
 
 
 def shown(value: Any) -> str:

@@ -5,9 +5,10 @@ import abc
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
-from jaxcrumple.model.fields import as_float
+from jaxcrumple.model.fields import as_float, is_known, require_numbers
 
 # Every iteration halves the bracket or the step, so this many always suffice in float64.
 MAX_ITERATIONS = 120
@@ -37,6 +38,16 @@ class SmoothstepFlow(AbstractFlowRule):
     yield_curvature: Array = eqx.field(converter=as_float)
     time: Array = eqx.field(converter=as_float)
     gamma: Array = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        require_numbers("yield_curvature of SmoothstepFlow", self.yield_curvature)
+        require_numbers("time of SmoothstepFlow", self.time, positive=True)
+        require_numbers("gamma of SmoothstepFlow", self.gamma)
+        if is_known(self.yield_curvature) and np.any(np.asarray(self.yield_curvature) >= 2.0):
+            raise ValueError(
+                f"yield_curvature of SmoothstepFlow reaches {np.max(self.yield_curvature):g}; it must be "
+                "below 2, the largest curvature of a hinge."
+            )
 
     def rate(self, c: Array, p: Array) -> Array:
         """dp/dt in 1/s (eqs. 34-36)."""

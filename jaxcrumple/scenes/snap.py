@@ -15,7 +15,7 @@ from jaxcrumple.model.scene import Scene
 from jaxcrumple.renewal import with_contacts
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.solvers.relax import Relaxed, relax
-from jaxcrumple.state import State, initial_state
+from jaxcrumple.state import State, check_state, initial_state
 from jaxcrumple.system import energies
 
 _energies = eqx.filter_jit(energies)
@@ -50,6 +50,8 @@ def energy_drop(scene: Scene, before: State, after: State, *, force_tolerance: f
 
     **Raises:** ValueError when an equilibrium is not found, or both states come to rest in the same one.
     """
+    check_state(scene, before)
+    check_state(scene, after)
     first = _rest(scene, before, before.t, force_tolerance)
     second = _rest(scene, after, before.t, force_tolerance)
     if float(jnp.max(jnp.abs(first.state.x - second.state.x))) < SAME * float(scene.length_scale):
@@ -71,6 +73,10 @@ def relaxed_drop(
     to there in `steps` equal loads, each relaxed; `after`: time in s whose load is beyond the limit
     point, where relaxation leads to the inverted side.
     """
+    if not isinstance(setup, Setup):
+        raise ValueError(
+            f"setup has type {type(setup).__name__}; it must be a Setup, as jaxcrumple.arch makes."
+        )
     scene = setup.scene
     state = initial_state(scene, setup.x)
     for t in np.linspace(0.0, before, steps + 1)[1:]:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxcrumple.memory import require_run
-from jaxcrumple.model.fields import as_float, door, is_known
+from jaxcrumple.model.fields import as_float, door, is_known, is_number, require_limit
 from jaxcrumple.model.near import motion
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.renewal import Renewal
@@ -80,8 +80,9 @@ def relax(
     which no run can proceed: behind a wall, with a hinge at 180 degrees or, in a scene with contact, passing
     through itself.
     """
-    if not force_tolerance > 0:
+    if not (is_number(force_tolerance) and force_tolerance > 0):
         raise ValueError(f"force_tolerance = {force_tolerance!r} N must be positive.")
+    require_limit("max_iterations", max_iterations)
     check_state(scene, state)
     solver = choose_linear_solver(linear)
     x = state.x if scene.prescribed is None else scene.prescribed.position(state.x, state.t)

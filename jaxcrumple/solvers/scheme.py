@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from jaxcrumple.model.fields import as_float, door
+from jaxcrumple.model.fields import as_float, door, is_number
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.choice import choose_linear_solver
 from jaxcrumple.solvers.explicit import AbstractExplicit
@@ -132,7 +132,7 @@ def integrator(
         raise ValueError(f"max_step = {max_step!r} s must be positive; leave it out for no limit.")
     if max_order not in (1, 2, 3, 4, 5):
         raise ValueError(f"max_order = {max_order!r} must be 1, 2, 3, 4 or 5.")
-    if not 0 <= rho_infinity <= 1:
+    if not is_number(rho_infinity) or not 0 <= rho_infinity <= 1:
         raise ValueError(f"rho_infinity = {rho_infinity!r} must lie between 0 and 1.")
     if scheme not in SCHEMES:
         raise ValueError(f"scheme {scheme!r} is unknown; choose one of {', '.join(SCHEMES)}.")
