@@ -9,8 +9,9 @@ import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
+from jaxcrumple.model.door import door
 from jaxcrumple.model.fans import PLACED_TURN, largest_turn
-from jaxcrumple.model.fields import door, is_known
+from jaxcrumple.model.fields import is_known
 from jaxcrumple.model.merger import Merger
 from jaxcrumple.model.near import (
     SOON,

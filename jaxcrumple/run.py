@@ -20,6 +20,7 @@ from jaxcrumple.io.manifest import Manifest
 from jaxcrumple.io.rundir import FILM, PARTIAL, RUN, is_run, make_folder, read_contents
 from jaxcrumple.io.verify import check_sound, damages, go_back
 from jaxcrumple.mesh import Mesh
+from jaxcrumple.model.door import door
 from jaxcrumple.scenes import Setup
 from jaxcrumple.simulate import Observer, frame_times, simulate
 from jaxcrumple.sketch import SAME, first_difference, sketch_scene
@@ -71,6 +72,7 @@ class Recorder:
         }
 
 
+@door
 def start_run(
     config: RunConfig, out: str | Path, observers: Sequence[Observer] = (), *, wait: bool = False
 ) -> dict[str, Any]:
@@ -93,6 +95,7 @@ def start_run(
         return _go(config, folder, setup, solver, state, {}, observers)
 
 
+@door
 def resume_run(out: str | Path, observers: Sequence[Observer] = (), *, wait: bool = False) -> dict[str, Any]:
     """Go on with the run in folder `out` from its last checkpoint; returns its summary.
 

@@ -12,7 +12,8 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from jaxcrumple.memory import require, require_run
-from jaxcrumple.model.fields import as_float, door, is_number, require_limit
+from jaxcrumple.model.door import door
+from jaxcrumple.model.fields import as_float, is_number, require_limit
 from jaxcrumple.model.loads import check_motion
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.programs import make_room

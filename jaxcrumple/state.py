@@ -10,7 +10,8 @@ from jax.typing import ArrayLike
 
 from jaxcrumple.memory import require
 from jaxcrumple.model.contact import Contact
-from jaxcrumple.model.fields import as_float, door, is_known, require_finite
+from jaxcrumple.model.door import door
+from jaxcrumple.model.fields import as_float, is_known, require_finite
 from jaxcrumple.model.loads import check_supported
 from jaxcrumple.model.near import Around, nowhere
 from jaxcrumple.model.scene import Scene, check_scene

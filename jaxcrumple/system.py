@@ -9,7 +9,8 @@ import scipy.sparse as sparse
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxcrumple.model.fields import as_float, door, require_shape
+from jaxcrumple.model.door import door
+from jaxcrumple.model.fields import as_float, require_shape
 from jaxcrumple.model.geometry import Hinge, curvature
 from jaxcrumple.model.plasticity import implicit_update
 from jaxcrumple.model.scene import Scene, require_scene

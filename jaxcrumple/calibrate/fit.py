@@ -14,7 +14,7 @@ from scipy.optimize import brentq, least_squares
 
 from jaxcrumple.calibrate.evaluate import Evaluations
 from jaxcrumple.calibrate.experiment import Experiment, Values
-from jaxcrumple.model.fields import door
+from jaxcrumple.model.door import door
 from jaxcrumple.solvers.scheme import Integrator
 
 # Steps by which a bracket is sought, as factors of the parameter.

@@ -13,6 +13,7 @@ import pandas as pd
 from jaxcrumple.calibrate.experiment import Experiment
 from jaxcrumple.calibrate.fit import Fit, Parameter, fit
 from jaxcrumple.material import Material
+from jaxcrumple.model.door import door
 from jaxcrumple.scenes.fold import TIMES, default_gap, fold, fold_angle
 from jaxcrumple.solvers.scheme import Integrator, integrator
 from jaxcrumple.state import initial_state
@@ -40,6 +41,7 @@ class FoldCalibration(NamedTuple):
     fit: Fit
 
 
+@door
 def calibrate_fold(
     angle: float,
     *,

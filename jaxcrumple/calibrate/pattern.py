@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from jaxcrumple.calibrate.experiment import Experiment
 from jaxcrumple.calibrate.fit import Fit, Parameter, fit
+from jaxcrumple.model.door import door
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.simulate import checked_times
 from jaxcrumple.solvers.scheme import Integrator
@@ -19,6 +20,7 @@ from jaxcrumple.state import initial_state
 WRONG = 2.0
 
 
+@door
 def calibrate_pattern(
     setup: Setup,
     times: ArrayLike,

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxcrumple.io.atomic import npz_bytes, to_json, write_bytes
-from jaxcrumple.model.fields import door
+from jaxcrumple.model.door import door
 
 FORMAT, VERSION = "jaxcrumple-checkpoint", 1
 _HEADER = "header"

@@ -7,8 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxcrumple.model.confinement import Wall
+from jaxcrumple.model.door import door
 
 
+@door
 def wall_force(wall: Wall, x: ArrayLike, t: float) -> float:
     """Total force in N with which the sheet at positions `x` (n, 3) in m presses on a wall at time `t`,
     along its normals: for a sphere that shrinks $F(R) = -dU/dR$, its pressure times its area."""

@@ -10,8 +10,10 @@ from jaxcrumple.measure.creases import hinge_angles, plastic_curvature
 from jaxcrumple.measure.strain import edge_length
 from jaxcrumple.mesh import FloatArray, Mesh
 from jaxcrumple.model.bending import hinge_energy
+from jaxcrumple.model.door import door
 
 
+@door
 def face_stretch_density(mesh: Mesh, x: ArrayLike, ks: ArrayLike) -> FloatArray:
     """Stretching energy per rest area (f,) in J/m2 at positions `x` (n, 3) in m.
 
@@ -24,6 +26,7 @@ def face_stretch_density(mesh: Mesh, x: ArrayLike, ks: ArrayLike) -> FloatArray:
     return (energy / owners)[of_face].sum(axis=1) / mesh.face_area
 
 
+@door
 def face_bending_density(mesh: Mesh, x: ArrayLike, p: ArrayLike, stiffness: ArrayLike) -> FloatArray:
     """Stored bending energy per rest area (f,) in J/m2 at positions `x` (n, 3) in m.
 

@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxcrumple.model.door import own_modes
+
 # Length of the parts in which a long running count is made.
 SIDE = 32
 
@@ -43,6 +45,7 @@ def _accumulate(start: Any, arguments: Any, count: Array, *, add, room: int, chu
 
 
 @_accumulate.def_jvp
+@own_modes()
 def _derivative(primals, tangents, *, add, room: int, chunk: int):
     start, arguments, count = primals
     moved, changed, _ = tangents

@@ -1,8 +1,6 @@
-"""Fields that hold physical numbers, trees of them, and the door that public functions share."""
+"""Fields that hold physical numbers, trees of them, and refusals of numbers that cannot be."""
 
-import functools
-from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,36 +10,6 @@ from jax.typing import ArrayLike
 
 # Characters of a wrong value that a message quotes.
 QUOTED = 80
-Given = ParamSpec("Given")
-Made = TypeVar("Made")
-
-
-def door(function: Callable[Given, Made]) -> Callable[Given, Made]:
-    """A public function that refuses single precision and declares its transfers.
-
-    Its arguments may be numbers of Python and of NumPy, so it moves numbers to the device on purpose,
-    whatever `jax.transfer_guard` the caller has set.
-    """
-
-    @functools.wraps(function)
-    def checked(*args: Given.args, **kwargs: Given.kwargs) -> Made:
-        require_x64()
-        with jax.transfer_guard("allow"):
-            return function(*args, **kwargs)
-
-    return checked
-
-
-def require_x64() -> None:
-    """Refuse to compute in single precision.
-
-    **Raises:** ValueError with the setting to change.
-    """
-    if jnp.result_type(float) != np.float64:
-        raise ValueError(
-            "jaxcrumple needs float64: forces nearly cancel and float32 loses them. "
-            'Call jax.config.update("jax_enable_x64", True) at the start of the program.'
-        )
 
 
 def as_float(value: ArrayLike) -> Array:

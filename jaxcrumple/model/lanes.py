@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxcrumple.model.door import own_modes
 from jaxcrumple.model.fields import select
 
 
@@ -28,6 +29,7 @@ def where_needed(needed: Array, make: Callable[..., Any], old: Any, *args: Any) 
         return jax.lax.cond(needed, made, lambda arrays: arrays[0], arrays)
 
     @chosen.def_vmap
+    @own_modes()
     def lanes(size: int, in_batched: Any, needed: Array, arrays: Any) -> tuple[Any, Any]:
         axes = jax.tree.map(lambda batched: 0 if batched else None, in_batched[1])
         new = jax.vmap(made, in_axes=(axes,), axis_size=size)

@@ -15,7 +15,8 @@ from jaxcrumple.model.checks import check_surroundings
 from jaxcrumple.model.confinement import AbstractShape, Wall
 from jaxcrumple.model.contact import Contact, SelfContact, build_contact, check_options_of
 from jaxcrumple.model.damping import AbstractDashpot, CentralDashpot, Drag, PaperDashpot
-from jaxcrumple.model.fields import door, is_known, require_finite, require_numbers, shown
+from jaxcrumple.model.door import door
+from jaxcrumple.model.fields import is_known, require_finite, require_numbers, shown
 from jaxcrumple.model.loads import ElementEnergy, Gravity, Prescribed
 from jaxcrumple.model.membrane import Membrane
 from jaxcrumple.model.near import Near

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxcrumple.model.fields import door
+from jaxcrumple.model.door import door, own_modes
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.replay.contacts import Lists, as_listed, near_step, with_lists
 from jaxcrumple.replay.record import Record, Steps
@@ -112,6 +112,7 @@ def _frames(scene: Scene, past: Point, record: Record, way: _Way) -> tuple[Point
 
 
 @_frames.def_jvp
+@own_modes()
 def _frames_jvp(primals, tangents):
     scene, past, record, way = primals
     by_scene, by_past, _, _ = tangents

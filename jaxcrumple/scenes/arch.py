@@ -6,6 +6,7 @@ import numpy as np
 from jaxcrumple.material import Material
 from jaxcrumple.mesh import Mesh
 from jaxcrumple.meshgen import hexagonal
+from jaxcrumple.model.door import door
 from jaxcrumple.model.loads import dead_load
 from jaxcrumple.model.scene import sheet
 from jaxcrumple.scenes.setup import Setup
@@ -16,6 +17,7 @@ from jaxcrumple.scenes.snap import check_positive, fixed, sheet_material
 ROW = np.sqrt(3.0) / 2.0
 
 
+@door
 def arch(
     nodes: int = 400,
     seed: int = 0,

@@ -18,6 +18,7 @@ from jax import Array
 from jaxcrumple.memory import require
 from jaxcrumple.mesh import FloatArray, Mesh
 from jaxcrumple.model.confinement import AbstractShape, Corners, Cylinder, Plane, of_time
+from jaxcrumple.model.door import door
 from jaxcrumple.model.loads import ElementEnergy
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions, upright, wrapped
@@ -56,6 +57,7 @@ class AxialTimes(NamedTuple):
 TIMES = AxialTimes()
 
 
+@door
 def cylindrical(
     nodes: int = 1000,
     seed: int = 0,
@@ -96,6 +98,7 @@ def cylindrical(
     return sheet.setup(mesh, walls, x=x)
 
 
+@door
 def axial(
     nodes: int = 2000,
     seed: int = 0,

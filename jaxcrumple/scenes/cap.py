@@ -5,12 +5,14 @@ import numpy as np
 
 from jaxcrumple.material import Material
 from jaxcrumple.meshgen import disc
+from jaxcrumple.model.door import door
 from jaxcrumple.model.loads import dead_load
 from jaxcrumple.model.scene import sheet
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.snap import check_positive, fixed, sheet_material
 
 
+@door
 def cap(
     nodes: int = 400,
     seed: int = 0,

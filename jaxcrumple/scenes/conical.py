@@ -13,6 +13,7 @@ import numpy as np
 from jax import Array
 
 from jaxcrumple.model.confinement import Corners, Opening, of_time
+from jaxcrumple.model.door import door
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.loads import AbstractMotion, Prescribed
 from jaxcrumple.scenes.setup import Setup
@@ -32,6 +33,7 @@ class Along(AbstractMotion):
         return self.position + self.distance(t) * self.direction
 
 
+@door
 def conical(
     nodes: int = 1000,
     seed: int = 0,

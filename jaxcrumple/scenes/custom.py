@@ -16,6 +16,7 @@ from jaxcrumple.mesh_files.sheet import unit_length
 from jaxcrumple.meshgen import disc, rectangle
 from jaxcrumple.model.confinement import AbstractShape, Cone, Corners, Cylinder, Plane, Sphere
 from jaxcrumple.model.contact import SelfContact
+from jaxcrumple.model.door import door
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.loads import LinearMotion, Prescribed
 from jaxcrumple.model.scene import sheet as scene_of
@@ -37,6 +38,7 @@ from jaxcrumple.scenes.sheets import smooth_imperfection, wrapped
 from jaxcrumple.validation import validated
 
 
+@door
 def custom(nodes: int = 1000, seed: int = 0, *, material: Material | None = None, **options: Any) -> Setup:
     """A sheet among walls and supports that are all options.
 

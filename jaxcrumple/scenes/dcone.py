@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 
 from jaxcrumple.mesh import FloatArray
 from jaxcrumple.model.confinement import Cone, Corners
+from jaxcrumple.model.door import door
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.loads import LinearMotion, Prescribed
 from jaxcrumple.scenes.setup import Setup
@@ -23,6 +24,7 @@ from jaxcrumple.scenes.snap import check_positive
 RING = (0.5, 0.9)
 
 
+@door
 def dcone(
     nodes: int = 2000,
     seed: int = 0,
@@ -60,6 +62,7 @@ def dcone_time(radius: float, slope: float, speed: float) -> float:
     return radius * slope / speed
 
 
+@door
 def free_sector(setup: Setup, x: FloatArray, t: float) -> float:
     """Angle in rad of the sector in which a d-cone is off its cone, at positions `x` (n, 3) in m and time
     `t`.

@@ -12,6 +12,7 @@ from jaxcrumple.material import Material
 from jaxcrumple.mesh import Mesh
 from jaxcrumple.meshgen import rectangle
 from jaxcrumple.model.confinement import Corners, Plane
+from jaxcrumple.model.door import door
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.geometry import cross, gather, sub
 from jaxcrumple.model.loads import AbstractMotion, Prescribed
@@ -75,6 +76,7 @@ class Closing(AbstractMotion):
         return jnp.where((x > 0)[:, None], jnp.stack(turned, axis=1), self.position)
 
 
+@door
 def fold(
     nodes: int = 1000,
     seed: int = 0,
@@ -135,6 +137,7 @@ def plates(size: float, gap: float, times: FoldTimes) -> list[Plane]:
     return [Plane(up, lower), Plane(-up, upper)]
 
 
+@door
 def fold_angle(mesh: Mesh, x: Array) -> Array:
     """Angle in rad between the two halves of a folded sheet at positions `x` (n, 3): pi where it is flat.
 

@@ -6,12 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxcrumple.model.confinement import Corners, Ramp, Sphere
+from jaxcrumple.model.door import door
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions
 from jaxcrumple.scenes.snap import check_positive
 
 
+@door
 def radial(
     nodes: int = 1000,
     seed: int = 0,
@@ -43,6 +45,7 @@ def radial(
     return sheet.setup(sheet.square(size, nodes, seed), [wall])
 
 
+@door
 def unload(
     nodes: int = 1000,
     seed: int = 0,

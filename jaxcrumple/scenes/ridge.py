@@ -16,6 +16,7 @@ from jaxcrumple.measure.creases import mean_curvature
 from jaxcrumple.mesh import FloatArray, Mesh
 from jaxcrumple.meshgen import rectangle
 from jaxcrumple.model.confinement import Corners
+from jaxcrumple.model.door import door
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.loads import AbstractMotion, Prescribed
 from jaxcrumple.scenes.setup import Setup
@@ -45,6 +46,7 @@ class Bending(AbstractMotion):
         return jnp.stack([x * cos - jnp.sign(x) * z * sin, y, z * cos + jnp.abs(x) * sin], axis=1)
 
 
+@door
 def ridge(
     nodes: int = 3000,
     seed: int = 0,
@@ -77,6 +79,7 @@ def ridge(
     return sheet.setup(mesh, [], prescribed=Prescribed(jnp.asarray(np.repeat(held[:, None], 3, 1)), motion))
 
 
+@door
 def ridge_curvature(mesh: Mesh, x: FloatArray) -> float:
     """Curvature in 1/m across the middle of a ridge along y at positions `x` (n, 3) in m.
 

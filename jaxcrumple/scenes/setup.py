@@ -13,6 +13,7 @@ from jaxcrumple.mesh import Mesh
 from jaxcrumple.model.confinement import AbstractShape, Wall
 from jaxcrumple.model.contact import SelfContact
 from jaxcrumple.model.damping import PaperDashpot
+from jaxcrumple.model.door import door
 from jaxcrumple.model.fields import is_known
 from jaxcrumple.model.plasticity import AbstractFlowRule
 from jaxcrumple.model.scene import Scene, sheet
@@ -40,6 +41,7 @@ class Setup(NamedTuple):
     contact: SelfContact | None = None
     material: Material | None = None
 
+    @door
     def made_of(self, material: Material) -> Scene:
         """The scene with the sheet of another material, and walls and contact as they follow from that.
 

@@ -9,7 +9,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxcrumple.material import Material
-from jaxcrumple.model.fields import door
+from jaxcrumple.model.door import door
 from jaxcrumple.model.loads import LinearMotion, Prescribed
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.renewal import with_contacts

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxcrumple.model.confinement import Ball, Corners, Plane, Sphere, of_time
+from jaxcrumple.model.door import door
 from jaxcrumple.model.fields import as_float
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions, wrapped
@@ -19,6 +20,7 @@ from jaxcrumple.scenes.snap import check_gap, check_positive
 UP = jnp.array([0.0, 0.0, 1.0])
 
 
+@door
 def stamping(
     nodes: int = 1000,
     seed: int = 0,
@@ -68,6 +70,7 @@ def stamping_time(die: float, radius: float, gap: float, speed: float) -> float:
     return (die - gap - math.sqrt(max(die**2 - radius**2, 0.0))) / speed
 
 
+@door
 def shell(
     nodes: int = 1000,
     seed: int = 0,

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxcrumple.model.door import own_modes
 from jaxcrumple.model.pattern import Pattern
 from jaxcrumple.solvers.cg import conjugate_gradients
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor, Solution, identity_values
@@ -127,6 +128,7 @@ def _batched(
         return found(token, indptr, indices, matrix, rhs[None])[0]
 
     @one.def_vmap
+    @own_modes()
     def many(
         axis_size: int, in_batched, token: Any, indptr: Array, indices: Array, matrix: Array, rhs: Array
     ):

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxcrumple.model.fields import as_float, door, require_shape, select
+from jaxcrumple.model.door import door
+from jaxcrumple.model.fields import as_float, require_shape, select
 from jaxcrumple.model.lanes import where_needed
 from jaxcrumple.model.near import motion
 from jaxcrumple.model.scene import Scene

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxcrumple.memory import require_run
-from jaxcrumple.model.fields import as_float, door, is_known, is_number, require_limit
+from jaxcrumple.model.door import door
+from jaxcrumple.model.fields import as_float, is_known, is_number, require_limit
 from jaxcrumple.model.near import motion
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.renewal import Renewal

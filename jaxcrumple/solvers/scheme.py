@@ -6,7 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from jaxcrumple.model.fields import as_float, door, is_number
+from jaxcrumple.model.door import door
+from jaxcrumple.model.fields import as_float, is_number
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.solvers.choice import choose_linear_solver
 from jaxcrumple.solvers.explicit import AbstractExplicit

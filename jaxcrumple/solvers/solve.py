@@ -7,7 +7,8 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxcrumple.model.fields import as_float, door
+from jaxcrumple.model.door import door
+from jaxcrumple.model.fields import as_float
 from jaxcrumple.model.pattern import Pattern
 from jaxcrumple.solvers.choice import choose_linear_solver
 from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor

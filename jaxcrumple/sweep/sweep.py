@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from jaxcrumple.memory import require_run
-from jaxcrumple.model.fields import door
+from jaxcrumple.model.door import door
 from jaxcrumple.scenes import Setup
 from jaxcrumple.simulate import checked_times
 from jaxcrumple.solvers.scheme import Integrator
