@@ -87,7 +87,7 @@ class Setup(NamedTuple):
                 "the setup does not say its material, so it is not known what follows from it: make it "
                 "Setup(mesh, scene, x, contact, material)."
             )
-        if not is_known(*vars(self.material).values()):
+        if not is_known(*vars(self.material).values(), self.scene.mass):
             raise ValueError("made_of needs a setup of plain numbers: make it outside of jit, grad and vmap.")
         with jax.ensure_compile_time_eval():
             return self._made(self.material, [wall.shape for wall in self.scene.walls], None)
