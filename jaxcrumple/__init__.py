@@ -1,5 +1,11 @@
 """jaxcrumple: a differentiable JAX simulator of thin elastoplastic sheets."""
 
+# ruff: noqa: E402
+from jaxcrumple import entry
+
+# Before the other imports, which take seconds.
+entry.prepare()
+
 from jaxcrumple.calibrate import Experiment, Fit, Parameter, calibrate_fold, calibrate_pattern, fit
 from jaxcrumple.config import ConfigError, configure
 from jaxcrumple.io import CheckpointError, Run, RunDirectoryError, load

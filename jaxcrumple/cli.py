@@ -1,31 +1,33 @@
 """The command line: `jaxcrumple run`, `check`, `calibrate`, `sweep`, `campaign`, `figure` and others."""
 
 import importlib.metadata
-import os
-import sys
-import tempfile
+import shlex
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import jax
 import typer
-from rich.console import Console
+
+from jaxcrumple.cli_calibrate import calibrations
+from jaxcrumple.console import ENDED, check_place, console, keep_programs, noted, run_program, say
 
 if TYPE_CHECKING:
     from jaxcrumple.config import RunConfig
 
 app = typer.Typer(
     help="Simulate thin elastoplastic sheets that fold, buckle and crumple.",
+    epilog="Exit codes: 0 success; 1 a run ended otherwise, or ran out of memory; 2 refused, and the message "
+    "says why; 70 a bug of the program; 130 Ctrl-C; 143 SIGTERM; 141 nobody reads the output.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-console = Console()
 
 
 def _version(asked: bool) -> None:
     if asked:
-        console.print(f"jaxcrumple {importlib.metadata.version('jaxcrumple')}", highlight=False)
+        say(f"jaxcrumple {importlib.metadata.version('jaxcrumple')}")
         raise typer.Exit
 
 
@@ -35,29 +37,12 @@ def _options(
         bool, typer.Option("--version", help="Print the version and stop.", callback=_version, is_eager=True)
     ] = False,
 ) -> None:
-    pass
+    keep_programs()
 
 
 def main() -> None:
-    """Entry point: double precision, a compilation cache, and errors as one line."""
-    jax.config.update("jax_enable_x64", True)
-    _enable_compilation_cache()
-    try:
-        app()
-    except (ValueError, OverflowError) as error:
-        # Every refusal of the library names its cause and cure; a traceback would hide it.
-        Console(stderr=True).print(
-            f"error: {error}", style="red", markup=False, highlight=False, soft_wrap=True
-        )
-        sys.exit(2)
-
-
-def _enable_compilation_cache() -> None:
-    """Keep compiled programs between runs, unless the user chose a place or none."""
-    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
-        return
-    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    jax.config.update("jax_compilation_cache_dir", str(base / "jaxcrumple" / "xla"))
+    """Entry point: double precision, and one line and an exit code for whatever ends a command."""
+    run_program(app)
 
 
 SceneOrFile = Annotated[
@@ -66,6 +51,13 @@ SceneOrFile = Annotated[
 Nodes = Annotated[int | None, typer.Option(help="Nodes of the mesh (default: 1000).")]
 EndTime = Annotated[str | None, typer.Option(help="End time in s, or with a unit (default: the scene's).")]
 Seed = Annotated[int | None, typer.Option(help="Seed of mesh and imperfection (default: 0).")]
+Limit = Annotated[
+    str | None,
+    typer.Option(
+        help="Wall time in s, or with a unit, after which a run ends with the result budget, to go on later; "
+        "compiling does not count."
+    ),
+]
 Setting = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="An option of scene, material or solver; may repeat."),
@@ -83,6 +75,7 @@ def run(
         Path | None, typer.Option(help="New folder for results (default: runs/SCENE or FILE).")
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out.")] = False,
+    max_seconds: Limit = None,
 ) -> None:
     """Run a scene and write its trajectory, tables, checkpoint, summary and pictures to a folder."""
     from jaxcrumple.config import pairs
@@ -90,7 +83,7 @@ def run(
     from jaxcrumple.progress import ConsoleProgress
     from jaxcrumple.run import check_resumable, flat, resume_run, start_run, stored_config
 
-    folder = out or Path("runs") / Path(scene).with_suffix("").name
+    folder, limit = out or Path("runs") / Path(scene).stem, _seconds(max_seconds)
     given = {"nodes": nodes, "t_end": t_end, "seed": seed}
     asked: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     if resume and not asked and not settings and not _is_file(scene):
@@ -100,16 +93,54 @@ def run(
     if resume:
         named = [*asked, *(key for key, _ in pairs(settings or ()))]
         check_resumable(config, flat(config) if _is_file(scene) else named, folder)
-    try:
+    go_on = _resume_command(scene, folder, asked, settings)
+    with noted(lambda: _kept(folder, go_on)):
         with ConsoleProgress(config.t_end, console) as progress:
-            summary = resume_run(folder, [progress]) if resume else start_run(config, folder, [progress])
-    except KeyboardInterrupt:
-        console.print(f"stopped; go on with: jaxcrumple run {scene} --resume --out {folder}", soft_wrap=True)
-        raise typer.Exit(130) from None
-    pictures = _plot(folder)
-    _report(summary, folder, pictures)
-    if summary["result"] != "success":
-        raise typer.Exit(1)
+            go = partial(resume_run, folder) if resume else partial(start_run, config, folder)
+            summary = go([progress], max_seconds=limit)
+        _report(summary)
+    with noted(lambda: f"the run has ended and is saved; draw it with: {_command('plot', folder)}"):
+        pictures = _plot(folder)
+    for line in (*(f"picture: {picture}" for picture in pictures), f"all results: {folder}"):
+        say(line)
+    if summary["result"] == "budget":
+        say(f"go on with: {go_on}")
+    _all_must_succeed(summary["result"] == "success")
+
+
+def _seconds(limit: str | None) -> float | None:
+    """Wall time in s of an option."""
+    from jaxcrumple.simulate import checked_limit
+    from jaxcrumple.units import TIME
+
+    try:
+        return None if limit is None else checked_limit(float(TIME.si(limit)))
+    except ValueError as error:
+        raise ValueError(
+            f"--max-seconds = {limit!r} is no wall time; give one such as 600 or '30 min'."
+        ) from error
+
+
+def _command(*words: Any) -> str:
+    """A command as one types it."""
+    return shlex.join(["jaxcrumple", *map(str, words)])
+
+
+def _resume_command(scene: str, folder: Path, asked: dict[str, Any], settings: Sequence[str] | None) -> str:
+    """The command that goes on with a run; it repeats what replaces values of a scene file."""
+    repeated: list[Any] = []
+    if _is_file(scene):
+        for key, value in asked.items():
+            repeated += [f"--{key.replace('_', '-')}", value]
+        for setting in settings or ():
+            repeated += ["--set", setting]
+    return _command("run", scene, *repeated, "--resume", "--out", folder)
+
+
+def _kept(folder: Path, go_on: str) -> str:
+    """What is left of a run that was broken off."""
+    saved = (folder / "run.json").exists()
+    return f"what was saved is kept; go on with: {go_on}" if saved else "nothing was saved yet"
 
 
 @app.command()
@@ -129,15 +160,15 @@ def check(
     given = {"nodes": nodes, "t_end": t_end, "seed": seed}
     config = _asked(scene, settings, {key: value for key, value in given.items() if value is not None})
     for line in described(config):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+        say(line)
     balance = check_built(config)
-    console.print(
+    say(
         "starts in balance, clear of itself and its walls"
         if balance.in_balance
         else "starts out of balance, so the sheet moves at once:"
     )
     for line in balance.lines:
-        console.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)
+        say(f"  {line}")
 
 
 def _is_file(scene: str) -> bool:
@@ -153,75 +184,11 @@ def _asked(scene: str, settings: list[str] | None, top: dict[str, Any]) -> "RunC
     return make(scene, settings=settings or (), **top)
 
 
-calibrations = typer.Typer(help="Find properties of a sheet from what is measured.", no_args_is_help=True)
 app.add_typer(calibrations, name="calibrate")
 
-
-@calibrations.command("fold")
-def calibrate_by_fold(
-    target_angle: Annotated[float, typer.Option(help="Angle in degrees between the halves; 180 is flat.")],
-    nodes: Annotated[int, typer.Option(help="Nodes of the mesh.")] = 1000,
-    seed: Annotated[int, typer.Option(help="Seed of the mesh.")] = 0,
-    std: Annotated[float, typer.Option(help="Standard deviation of the angle in degrees.")] = 1.0,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the result to this file.")] = None,
-    checkpoint: Annotated[Path | None, typer.Option(help="File of all runs, from which to go on.")] = None,
-) -> None:
-    """Find the yield curvature for which a folded sheet keeps an angle."""
-    import json
-    import math
-
-    from jaxcrumple.calibrate import calibrate_fold
-
-    if not 0 < target_angle < 180:
-        raise ValueError(
-            f"--target-angle = {target_angle:g} must lie between 0 and 180 degrees; 180 is flat."
-        )
-    if not (math.isfinite(std) and std > 0):
-        raise ValueError(f"--std = {std:g} must be a positive angle in degrees.")
-    if json_file is not None:
-        _check_place(json_file, "--json")
-    found = calibrate_fold(
-        math.radians(target_angle),
-        nodes=nodes,
-        seed=seed,
-        std=math.radians(std),
-        checkpoint=checkpoint,
-        tell=_tell_evaluation,
-    )
-    result = {
-        "yield_curvature": found.yield_curvature,
-        "std": found.std,
-        "c0": found.c0,
-        "c0_std": found.c0_std,
-        "angle_deg": math.degrees(found.angle),
-        "evaluations": found.fit.evaluations,
-        "gradient_evaluations": found.fit.gradient_evaluations,
-        "snaps": found.fit.snaps,
-        "success": found.success,
-        "message": found.fit.message,
-        "target_angle_deg": target_angle,
-        "nodes": nodes,
-        "seed": seed,
-    }
-    console.print(
-        f"yield curvature {found.yield_curvature:.4g} +- {found.std:.2g} 1/m, c0 = {found.c0:.4g}; the fold "
-        f"then keeps {result['angle_deg']:.4g} degrees ({found.fit.message})",
-        soft_wrap=True,
-    )
-    if json_file is not None:
-        json_file.write_text(json.dumps(result, indent=2))
-    if not found.success:
-        raise ValueError(f"no yield curvature was found for which the fold keeps {target_angle:g} degrees.")
-
-
-def _tell_evaluation(row) -> None:
-    """A line for each run of a fit that is not known already."""
-    if row["kind"] == "residuals" and row["seconds"] > 0.0:
-        value, loss, seconds = row["yield_curvature"], row["loss"], row["seconds"]
-        console.print(f"yield curvature {value:.5g} 1/m: loss {loss:.3g}, {seconds:.0f} s")
-
-
-SweepPath = Annotated[Path, typer.Argument(help="TOML file: scene, t_end, frames; tables settings, over.")]
+SweepPath = Annotated[
+    Path, typer.Argument(help="TOML file: scene, t_end, frames, max_seconds; tables settings, over.")
+]
 SchedulerAddress = Annotated[
     str | None, typer.Option(help="Address of a Dask scheduler (default: workers on this machine).")
 ]
@@ -233,28 +200,33 @@ def sweep(
     out: Annotated[Path | None, typer.Option(help="New netCDF file (default: FILE with .nc).")] = None,
     backend: Annotated[str, typer.Option(help="auto, batch or processes.")] = "auto",
     scheduler: SchedulerAddress = None,
+    max_seconds: Limit = None,
 ) -> None:
     """Run a scene over a grid of its numbers, and write all outcomes to one netCDF file."""
+    from jaxcrumple.io.atomic import write_bytes
     from jaxcrumple.simulate import frame_times
     from jaxcrumple.sweep.file import read_sweep
     from jaxcrumple.sweep.sweep import sweep
 
-    asked = read_sweep(file)
+    limit, asked = _seconds(max_seconds), read_sweep(file)
     path = out or file.with_suffix(".nc")
     if path.exists():
         raise ValueError(f"{path} exists; give another --out, or remove it.")
-    _check_place(path, "--out")
-    table = sweep(
-        asked.scene,
-        asked.over,
-        frame_times(asked.end, asked.frames or 1)[1:],
-        settings=asked.settings,
-        backend=backend,  # type: ignore[arg-type]
-        cluster=scheduler,
-        tell=_tell_case,
-    )
-    table.to_netcdf(path, engine="scipy")
-    console.print(f"{table.result.size} runs in {table.attrs['seconds']:.0f} s: {path}", soft_wrap=True)
+    check_place(path, "--out")
+    again = _command("campaign", file)
+    with noted(lambda: f"a sweep keeps nothing before its end; what keeps each run is: {again}"):
+        table = sweep(
+            asked.scene,
+            asked.over,
+            frame_times(asked.end, asked.frames or 1)[1:],
+            settings=asked.settings,
+            backend=backend,  # type: ignore[arg-type]
+            cluster=scheduler,
+            max_seconds=asked.max_seconds if limit is None else limit,
+            tell=_tell_case,
+        )
+    write_bytes(path, bytes(table.to_netcdf(engine="scipy")))
+    say(f"{table.result.size} runs in {table.attrs['seconds']:.0f} s: {path}")
     _all_must_succeed((table.result == "success").all())
 
 
@@ -263,16 +235,19 @@ def campaign(
     file: SweepPath,
     out: Annotated[Path | None, typer.Option(help="Folder of all runs (default: runs/FILE).")] = None,
     scheduler: SchedulerAddress = None,
+    max_seconds: Limit = None,
 ) -> None:
     """Run a scene over a grid, each run into a folder of its own; again: only what is missing."""
     from jaxcrumple.sweep import campaign, grid
     from jaxcrumple.sweep.file import read_sweep
 
-    asked, folder = read_sweep(file), out or Path("runs") / file.stem
+    limit, asked, folder = _seconds(max_seconds), read_sweep(file), out or Path("runs") / file.stem
     frames = {} if asked.frames is None else {"frames": asked.frames}
     runs = grid(asked.scene, asked.over, asked.settings | frames, t_end=asked.end)
-    table = campaign(runs, folder, cluster=scheduler, tell=_tell_case)
-    console.print(f"{len(table)} runs: {folder / 'campaign.csv'}", soft_wrap=True)
+    limit = asked.max_seconds if limit is None else limit
+    with noted(lambda: f"what was saved is kept in {folder}; go on with the same command"):
+        table = campaign(runs, folder, cluster=scheduler, max_seconds=limit, tell=_tell_case)
+    say(f"{len(table)} runs: {folder / 'campaign.csv'}")
     _all_must_succeed((table["result"] == "success").all())
 
 
@@ -291,29 +266,18 @@ def figure(
     if name not in FIGURES:
         raise ValueError(f"figure {name!r} is unknown{nearest(name, FIGURES)}")
     folder = out or Path("figures") / (f"{name}_full" if full else name)
-    for path in make_figure(FIGURES[name], folder, full=full, tell=_tell_case):
-        console.print(str(path), markup=False, highlight=False, soft_wrap=True)
-
-
-def _check_place(path: Path, option: str) -> None:
-    """Refuse a file that cannot be written, before any work for it."""
-    folder = path.absolute().parent
-    if path.is_dir():
-        raise ValueError(f"{path} is a folder; give {option} a file.")
-    try:
-        with tempfile.TemporaryFile(dir=folder):
-            return
-    except OSError as error:
-        raise ValueError(f"{folder} is no folder that may be written; give another {option}.") from error
+    with noted(lambda: f"the runs that have ended are kept in {folder}; go on with the same command"):
+        for path in make_figure(FIGURES[name], folder, full=full, tell=_tell_case):
+            say(str(path))
 
 
 def _tell_case(name: str, result: str) -> None:
-    console.print(f"{name}: {result}", markup=False, highlight=False, soft_wrap=True)
+    say(f"{name}: {result}")
 
 
 def _all_must_succeed(success) -> None:
     if not success:
-        raise typer.Exit(1)
+        raise typer.Exit(ENDED)
 
 
 @app.command()
@@ -354,7 +318,7 @@ def plot(folder: Annotated[Path, typer.Argument(help="Folder of a run, finished 
 
     pictures = _plot(folder)
     for picture in [*pictures, film(RunDirectory.open(folder))]:
-        console.print(str(picture), markup=False)
+        say(str(picture))
 
 
 @app.command()
@@ -365,11 +329,11 @@ def verify(folder: Annotated[Path, typer.Argument(help="Folder of a run, or of s
     found = verify_runs(folder)
     for place, wrong in found.items():
         counts = "" if wrong else ", {2} frames, {0} rows of history".format(*RunDirectory.open(place).counts)
-        console.print(f"{place}: {'damaged' if wrong else 'sound'}{counts}", soft_wrap=True)
+        say(f"{place}: {'damaged' if wrong else 'sound'}{counts}")
         for cause in wrong.values():
-            console.print(f"  {cause}", markup=False, highlight=False, soft_wrap=True)
+            say(f"  {cause}")
         if wrong:
-            console.print(f"  go back to what is sound: jaxcrumple repair {place}", soft_wrap=True)
+            say(f"  go back to what is sound: jaxcrumple repair {place}")
     if any(found.values()):
         raise typer.Exit(1)
 
@@ -382,13 +346,10 @@ def repair(folder: Annotated[Path, typer.Argument(help="Folder of a run.")]) -> 
 
     t = repair_run(folder)
     if t is None:
-        console.print(f"{folder} is sound; nothing was changed", soft_wrap=True)
+        say(f"{folder} is sound; nothing was changed")
         return
     scene = RunDirectory.open(folder).config["scene"]
-    console.print(
-        f"{folder} is at t = {t:.4g} s again; go on with: jaxcrumple run {scene} --resume --out {folder}",
-        soft_wrap=True,
-    )
+    say(f"{folder} is at t = {t:.4g} s again; go on with: jaxcrumple run {scene} --resume --out {folder}")
 
 
 def _plot(folder: Path) -> list[Path]:
@@ -397,7 +358,7 @@ def _plot(folder: Path) -> list[Path]:
     return plot_run(folder)
 
 
-def _report(summary: dict, folder: Path, pictures: list[Path]) -> None:
+def _report(summary: dict) -> None:
     steps, share, energy = summary["steps"], summary["dynamic_share"], summary["energy"]
     lines = [
         f"result: {summary['result']} ({summary['message']})",
@@ -411,8 +372,6 @@ def _report(summary: dict, folder: Path, pictures: list[Path]) -> None:
         f"edge strain: {summary['max_edge_strain']:.2%} largest, {summary['rms_edge_strain']:.2%} rms; "
         f"wall penetration {summary['max_wall_penetration'] * 1e6:.3g} um; "
         f"creases {summary['crease_length'] * 100:.3g} cm",
-        *(f"picture: {picture}" for picture in pictures),
-        f"all results: {folder}",
     ]
     for line in lines:
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+        say(line)

@@ -74,9 +74,15 @@ class Recorder:
 
 @door
 def start_run(
-    config: RunConfig, out: str | Path, observers: Sequence[Observer] = (), *, wait: bool = False
+    config: RunConfig,
+    out: str | Path,
+    observers: Sequence[Observer] = (),
+    *,
+    max_seconds: float | None = None,
+    wait: bool = False,
 ) -> dict[str, Any]:
-    """Run a configuration into a new folder `out`; returns its summary.
+    """Run a configuration into a new folder `out`; returns its summary. After `max_seconds` of wall time,
+    compiling left out, it ends with the result "budget", and `resume_run` goes on with it.
 
     `wait`: for another process that writes into the folder to end, instead of refusing.
 
@@ -92,12 +98,19 @@ def start_run(
     check_start(setup.scene, state)
     with writing(make_folder(out), wait=wait):
         folder = RunDirectory.create(out, *_parts(config, setup))
-        return _go(config, folder, setup, solver, state, {}, observers)
+        return _go(config, folder, setup, solver, state, {}, observers, max_seconds)
 
 
 @door
-def resume_run(out: str | Path, observers: Sequence[Observer] = (), *, wait: bool = False) -> dict[str, Any]:
-    """Go on with the run in folder `out` from its last checkpoint; returns its summary.
+def resume_run(
+    out: str | Path,
+    observers: Sequence[Observer] = (),
+    *,
+    max_seconds: float | None = None,
+    wait: bool = False,
+) -> dict[str, Any]:
+    """Go on with the run in folder `out` from its last checkpoint, for at most `max_seconds` of wall time;
+    returns its summary.
 
     All files of the run are checked first. One that was successful is only read. `wait` as in `start_run`.
 
@@ -118,7 +131,7 @@ def resume_run(out: str | Path, observers: Sequence[Observer] = (), *, wait: boo
         if folder.manifest.checkpoint is not None:
             state, metadata = load_checkpoint(path / folder.manifest.checkpoint, state)
             spent = metadata["spent"]
-        return _go(config, folder, setup, solver, state, spent, observers)
+        return _go(config, folder, setup, solver, state, spent, observers, max_seconds)
 
 
 def repair_run(out: str | Path) -> float | None:
@@ -217,6 +230,7 @@ def _go(
     state: State,
     spent: dict[str, float],
     observers: Sequence[Observer],
+    max_seconds: float | None,
 ) -> dict[str, Any]:
     """Simulate what is left, and write the ending: the summary last, so that it speaks for all the rest."""
     recorder = Recorder(folder, config.frames, spent)
@@ -225,7 +239,15 @@ def _go(
         ending = _ended(setup, state)
     else:
         watchers = (recorder, *observers)
-        solution = simulate(setup.scene, state, times, solver=solver, observers=watchers, first_frame=reached)
+        solution = simulate(
+            setup.scene,
+            state,
+            times,
+            solver=solver,
+            observers=watchers,
+            first_frame=reached,
+            max_seconds=max_seconds,
+        )
         ending = Ending(solution.state, solution.result, solution.message, solution.compile_s)
         # The last good state is worth keeping even where no frame was due.
         recorder.checkpoint(ending.state)

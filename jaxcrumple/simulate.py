@@ -137,9 +137,9 @@ def simulate(
 
     **Raises:** ValueError for times that are not finite, not increasing or before the state's, for a
     state of another scene or away from its supports, a motion that is not finite at a frame time, what is not
-    a solver, a budget below 0, for frames that surely exceed the memory, and for a start from which no run
-    can proceed: behind a wall, with a hinge at 180 degrees or, in a scene with contact, passing through
-    itself.
+    a solver, a budget below 0, a limit that is no time, for frames that surely exceed the memory, and for a
+    start from which no run can proceed: behind a wall, with a hinge at 180 degrees or, in a scene with
+    contact, passing through itself.
     """
     check_state(scene, state)
     check_start(scene, state)
@@ -150,7 +150,7 @@ def simulate(
             check_motion(scene.prescribed, stop)
     solver = integrator() if solver is None else checked_solver(solver)
     require_limit("max_attempts", max_attempts)
-    require_limit("max_seconds", max_seconds)
+    max_seconds = None if max_seconds is None else checked_limit(max_seconds)
     kept, recorder = _Kept(), None
     if record:
         recorder = Recorder(state, solver)
@@ -220,6 +220,16 @@ def checked_times(times: ArrayLike, first_frame: int = 0, now: float = 0.0) -> n
             f"time {stops[first_frame]:g} s lies before the state's, {now:g} s; leave out what it has passed."
         )
     return stops
+
+
+def checked_limit(max_seconds: float) -> float:
+    """A limit of wall time in s.
+
+    **Raises:** ValueError for one that is not a number or negative.
+    """
+    if not max_seconds >= 0.0:
+        raise ValueError(f"max_seconds = {max_seconds!r} must be a wall time in s, at least 0.")
+    return float(max_seconds)
 
 
 class _Budget:

@@ -7,6 +7,8 @@ from typing import Any
 
 from jaxcrumple.validation import ConfigError, Place
 
+# Bytes of the largest file, and levels of tables and lists, that anybody can mean.
+LARGEST, DEEPEST = 10_000_000, 50
 _NAME = r"(?:[\w-]+|\"[^\"]*\"|'[^']*')"
 _NAMES = rf"{_NAME}(?:\s*\.\s*{_NAME})*"
 _HEADER = re.compile(rf"\s*(\[\[?)\s*({_NAMES})\s*\]")
@@ -18,13 +20,46 @@ def read_toml(path: str | Path) -> tuple[dict[str, Any], str]:
 
     **Raises:** `ConfigError` for a file that cannot be read, with the line where that is known.
     """
+    data = _bytes(Path(path))
     try:
-        text = Path(path).read_text(encoding="utf-8")
-        return tomllib.loads(text), text
+        # Some editors begin a file with a byte-order mark, and end lines in other ways.
+        text = data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+        values = tomllib.loads(text)
+    except RecursionError as error:
+        raise ConfigError(f"{path} cannot be read as TOML: it is nested too deeply") from error
+    except ValueError as error:
+        raise ConfigError(f"{path} cannot be read as TOML: {error}") from error
+    if _depth(values) > DEEPEST:
+        raise ConfigError(f"{path} is nested more than {DEEPEST} levels deep; give a file with fewer")
+    return values, text
+
+
+def _bytes(path: Path) -> bytes:
+    """What a file holds, or a pipe of the shell's, as by `<(...)`; any other would be waited for.
+
+    **Raises:** ConfigError for what is neither, cannot be read, or is too large to be meant.
+    """
+    try:
+        if not (path.is_file() or path.is_relative_to("/dev/fd") or not path.exists()):
+            raise ConfigError(f"{path} is a folder or a device; give a TOML file")
+        with path.open("rb") as file:
+            data = file.read(LARGEST + 1)
     except FileNotFoundError as error:
         raise ConfigError(f"{path} does not exist; give a TOML file") from error
-    except (OSError, ValueError, RecursionError) as error:
-        raise ConfigError(f"{path} cannot be read as TOML: {error}") from error
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read: {error.strerror}; give another file") from error
+    if len(data) > LARGEST:
+        raise ConfigError(f"{path} has more than {LARGEST / 1e6:.0f} MB; give a TOML file")
+    return data
+
+
+def _depth(values: Any) -> int:
+    """How many levels of tables and lists values have."""
+    depth, level = 0, [values]
+    while level := [part for part in level if isinstance(part, dict | list)]:
+        depth += 1
+        level = [part for one in level for part in (one.values() if isinstance(one, dict) else one)]
+    return depth
 
 
 def line_of(text: str, place: Place) -> int | None:

@@ -1,7 +1,10 @@
 """Words that messages share."""
 
 import difflib
+import re
 from collections.abc import Iterable
+
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
@@ -11,3 +14,8 @@ def nearest(name: str, known: Iterable[str]) -> str:
     if close:
         return f"; did you mean {close[0]!r}?"
     return f"; choose one of {', '.join(sorted(known))}."
+
+
+def one_line(text: str) -> str:
+    """Text with control characters, as file names may have, as escapes."""
+    return _CONTROL.sub(lambda found: repr(found[0])[1:-1], text)

@@ -31,6 +31,8 @@ def refusal(path: Path, error: OSError) -> RunDirectoryError:
         cure = "choose an output folder you may write to, or change its permissions"
     elif error.errno in (errno.ENOENT, errno.ENOTDIR, errno.EEXIST):
         cure = "check the path: its folder must exist and be a folder"
+    elif error.errno == errno.ENAMETOOLONG:
+        cure = "give a shorter name"
     else:
         cure = "check the disk; what was saved before is intact"
     return RunDirectoryError(f"cannot write {str(path)!r}: {cause}; {cure}")
@@ -67,6 +69,11 @@ def write_bytes(path: Path, data: bytes | memoryview) -> None:
     """Write `data` to `path`, all or nothing. **Raises:** `RunDirectoryError`."""
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write(data)
+
+
+def write_json(path: Path, data: Mapping[str, Any]) -> None:
+    """Write `data`, which may hold NumPy numbers and arrays, as JSON, all or nothing."""
+    write_bytes(path, (to_json(data, indent=2) + "\n").encode())
 
 
 def npz_bytes(arrays: Mapping[str, np.ndarray]) -> bytes:

@@ -17,7 +17,7 @@ from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions, wrapped
 from jaxcrumple.scenes.snap import check_gap, check_positive
 
-UP = jnp.array([0.0, 0.0, 1.0])
+UP = np.array([0.0, 0.0, 1.0])
 
 
 @door
@@ -61,7 +61,7 @@ def stamping(
     start = ball - depth + sheet.clearance + sheet.imperfection
     time = stamping_time(die, radius, gap, speed)
     way = Corners(jnp.array([0.0, time]), jnp.array([start, 0.0]))
-    walls = [Sphere(jnp.zeros(3), of_time(die)), Ball(jnp.zeros(3), UP, as_float(ball), way)]
+    walls = [Sphere(jnp.zeros(3), of_time(die)), Ball(jnp.zeros(3), as_float(UP), as_float(ball), way)]
     return sheet.setup(mesh, walls, x=x)
 
 
@@ -105,7 +105,7 @@ def shell(
     low, high = mesh.vertices[:, 2].min() - sheet.clearance, mesh.vertices[:, 2].max() + sheet.clearance
     time = shell_time(radius, curvature_radius, gap, speed)
     plate = Corners(jnp.array([0.0, time]), jnp.array([-high, -(low + gap)]))
-    return sheet.setup(mesh, [Plane(UP, of_time(low)), Plane(-UP, plate)])
+    return sheet.setup(mesh, [Plane(as_float(UP), of_time(low)), Plane(as_float(-UP), plate)])
 
 
 def shell_time(radius: float, curvature_radius: float, gap: float, speed: float) -> float:

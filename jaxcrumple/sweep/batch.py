@@ -1,5 +1,6 @@
 """All cases of a sweep as one program: lanes with their own step sizes, stages and results."""
 
+import time
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -17,7 +18,7 @@ from jaxcrumple.simulate import MOST_WAITS, RESULT_NAMES
 from jaxcrumple.start import check_gap, check_start, pierced
 from jaxcrumple.state import RESULTS, State, initial_state
 from jaxcrumple.sweep import lanes
-from jaxcrumple.sweep.cases import Case, blamed
+from jaxcrumple.sweep.cases import Case, Limits, blamed
 from jaxcrumple.sweep.lanes import AXIS, Inputs, differing, lane, lanes_of, spread, stacked
 from jaxcrumple.sweep.table import Frames, Measure, Outcome, Tell
 from jaxcrumple.threads import limited_blas
@@ -30,7 +31,7 @@ def run_batch(
     cases: Sequence[Case],
     times: np.ndarray,
     measure: Measure,
-    max_attempts: float,
+    limits: Limits,
     devices: Sequence[jax.Device],
     tell: Tell,
 ) -> list[Outcome]:
@@ -44,7 +45,7 @@ def run_batch(
         )
     make_room()
     with limited_blas():
-        batch = _Batch(cases, times, max_attempts, devices)
+        batch = _Batch(cases, times, limits, devices)
         frames = [Frames(measure, setup) for setup in batch.setups]
         while np.any(batch.going):
             batch.advance()
@@ -60,8 +61,8 @@ def run_batch(
 class _Batch:
     """Lanes on their way from frame to frame, each at its own pace."""
 
-    def __init__(self, cases: Sequence[Case], times: np.ndarray, max_attempts: float, devices):
-        self.times, self.max_attempts = times, max_attempts
+    def __init__(self, cases: Sequence[Case], times: np.ndarray, limits: Limits, devices):
+        self.times, self.limits = times, limits
         self.setups = [cases[0].build()]
         _check_size(len(cases), self.setups[0].mesh.n_nodes)
         self.setups += [case.build() for case in cases[1:]]
@@ -82,6 +83,7 @@ class _Batch:
         size = len(cases) + self.spare
         self.reached, self.waits = np.zeros(size, int), np.zeros(size, int)
         self.going = np.arange(size) < len(cases)
+        self.start = 0.0
 
     def _inputs(self) -> list[Inputs]:
         pairs = list(zip(self.scenes, self.solvers, strict=True))
@@ -99,7 +101,7 @@ class _Batch:
         """One call of the program for all lanes that are going; new lists where they stopped for one."""
         made = self._attempts()
         stops = np.where(self.going, self._due, -np.inf)
-        left = self.max_attempts - made
+        left = self.limits.attempts - made
         # Placed alike in every call: another placement would compile another program.
         moving = spread((self.states, jnp.asarray(stops), jnp.asarray(left)), self.devices)
         side_by_side = lanes.best_side_by_side(self.devices.devices[0])
@@ -107,7 +109,11 @@ class _Batch:
         waited = self.going & (self._attempts() == made) & (left > 0)
         self.waits = np.where(waited, self.waits + 1, 0)
         unfinished = self.going & (np.asarray(self.states.t) < stops)
-        self._end(unfinished & (self.max_attempts <= self._attempts()), RESULTS.budget)
+        self._end(unfinished & (self.limits.attempts <= self._attempts()), RESULTS.budget)
+        # The first call compiles, which does not count.
+        self.start = self.start or time.perf_counter()
+        if time.perf_counter() - self.start > self.limits.seconds:
+            self._end(unfinished, RESULTS.budget)
         self._end(self.waits > MOST_WAITS, RESULTS.collapsed)
         listing = self.states.listing
         if listing is not None and np.any(np.asarray(listing.needed)):

@@ -20,6 +20,13 @@ Grid = dict[str, list[Any]]
 CASE = 2e4
 
 
+class Limits(NamedTuple):
+    """Step attempts, and wall time in s, after which a case ends; infinite for none."""
+
+    attempts: float
+    seconds: float
+
+
 class Case(NamedTuple):
     """One member of a sweep: its `values` by name, the `scene`, a function of `arguments` or the
     configuration of a named one, and the `solver`."""

@@ -24,6 +24,12 @@ SILENCE = "365 days"
 # Seconds between looks at whether workers of this machine are still there, and how many in a row that find
 # none tell that they are gone for good: one that ended is started again, which takes a while.
 LOOK, LOOKS = 10.0, 18
+# Seconds to wait for a scheduler that is given by its address.
+ANSWER = 20
+
+
+class WorkersLostError(RuntimeError):
+    """Worker processes, or their scheduler, that are gone for good, or cannot run this program."""
 
 
 class OneCore(WorkerPlugin):
@@ -50,14 +56,7 @@ def connected(cluster: Cluster, most: int) -> Iterator[Client]:
     if isinstance(cluster, Client):
         yield cluster
     elif cluster is not None:
-        try:
-            client = Client(cluster)
-        except (OSError, TypeError, ValueError) as error:
-            raise ValueError(
-                f"cluster = {cluster!r} cannot be reached: {error}. Give a cluster or a client of Dask, or "
-                "the address of a scheduler that runs, such as tcp://host:8786."
-            ) from error
-        with client:
+        with _client(cluster) as client:
             yield client
     else:
         cores = _cores()
@@ -71,6 +70,20 @@ def local_workers(cluster: Cluster, most: int) -> int:
     """How many workers share this machine's memory, as `connected` starts them: one where a cluster is given,
     whose machines are not known."""
     return 1 if cluster is not None else min(len(_cores()), most)
+
+
+def _client(cluster: Cluster) -> Client:
+    """A client of a cluster that is not ours.
+
+    **Raises:** ValueError where none answers.
+    """
+    try:
+        return Client(cluster, timeout=ANSWER)
+    except (OSError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"cluster = {cluster!r} cannot be reached: {error}. Give a cluster or a client of Dask, or "
+            "the address of a scheduler that runs, such as tcp://host:8786."
+        ) from error
 
 
 def _cores() -> list[int]:

@@ -15,7 +15,8 @@ class SweepFile(Options):
     """A grid of a named scene: what is varied is `over`, what all have in common `settings`.
 
     `t_end` in s, by default the scene's own; `frames`: how many moments are measured, evenly spaced, by
-    default the end alone; a campaign saves as many and the start, by default as many as a run.
+    default the end alone; a campaign saves as many and the start, by default as many as a run;
+    `max_seconds`: wall time of each case in s, after which it ends with the result "budget", by default none.
     """
 
     scene: str
@@ -23,6 +24,7 @@ class SweepFile(Options):
     settings: dict[str, Any] = Field(default_factory=dict)
     t_end: Annotated[float | None, TIME] = Field(None, gt=0, allow_inf_nan=False)
     frames: int | None = Field(None, ge=1, le=100_000)
+    max_seconds: Annotated[float | None, TIME] = Field(None, gt=0, allow_inf_nan=False)
 
     @property
     def end(self) -> float:
@@ -31,7 +33,7 @@ class SweepFile(Options):
 
 
 def read_sweep(path: str | Path) -> SweepFile:
-    """Read a file of `scene`, `t_end`, `frames`, and tables `settings` and `over`.
+    """Read a file of `scene`, `t_end`, `frames`, `max_seconds`, and tables `settings` and `over`.
 
     The word none stands for an option's None. Numbers are in SI units, strings may carry a unit.
 
@@ -42,7 +44,7 @@ def read_sweep(path: str | Path) -> SweepFile:
         found = validated(SweepFile, values)
         if found.scene not in SCENES:
             raise ConfigError(f"scene {found.scene!r} is unknown; choose one of {', '.join(SCENES)}.")
-        for name in ("frames", "t_end"):
+        for name in ("frames", "t_end", "max_seconds"):
             if name in found.settings or name in found.over:
                 raise ConfigError(f"{name} is the same for all: give it at the top, before the tables.")
         over = {name: _in_si(found.scene, name, values) for name, values in found.over.items()}

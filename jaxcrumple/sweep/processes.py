@@ -10,8 +10,8 @@ import pandas as pd
 from jaxcrumple.simulate import simulate
 from jaxcrumple.start import check_start
 from jaxcrumple.state import State, initial_state
-from jaxcrumple.sweep.cases import Case, blamed
-from jaxcrumple.sweep.cluster import Cluster, connected, run_all
+from jaxcrumple.sweep.cases import Case, Limits, blamed
+from jaxcrumple.sweep.cluster import Cluster, WorkersLostError, connected, run_all
 from jaxcrumple.sweep.table import Frames, Measure, Outcome, Tell, broken
 
 
@@ -30,15 +30,20 @@ class _Observer:
         pass
 
 
-def run_case(case: Case, times: np.ndarray, measure: Measure, max_attempts: float) -> Outcome:
+def run_case(case: Case, times: np.ndarray, measure: Measure, limits: Limits) -> Outcome:
     """One case, alone. One that breaks, as by an exception of `measure`, keeps the frames it had."""
     setup = case.build()
     frames = Frames(measure, setup)
     state = initial_state(setup.scene, setup.x)
-    budget = None if np.isinf(max_attempts) else int(max_attempts)
     try:
         solution = simulate(
-            setup.scene, state, times, solver=case.solver, observers=[_Observer(frames)], max_attempts=budget
+            setup.scene,
+            state,
+            times,
+            solver=case.solver,
+            observers=[_Observer(frames)],
+            max_attempts=None if np.isinf(limits.attempts) else int(limits.attempts),
+            max_seconds=limits.seconds,
         )
     except Exception as error:
         return broken(error, frames.found)
@@ -49,23 +54,31 @@ def run_processes(
     cases: Sequence[Case],
     times: np.ndarray,
     measure: Measure,
-    max_attempts: float,
+    limits: Limits,
     cluster: Cluster,
     tell: Tell,
 ) -> list[Outcome]:
     """Outcomes of the cases, each a run in a worker of the cluster.
 
-    **Raises:** ValueError for a case that cannot be built or start, before any of them runs.
+    Where workers or their scheduler are lost for good, the cases that had not ended are broken.
+
+    **Raises:** ValueError for a case that cannot be built or start, before any of them runs;
+    `WorkersLostError` where there are no workers that could run one.
     """
     outcomes: dict[int, Outcome] = {}
     with connected(cluster, len(cases)) as client:
         for _, future in run_all(client, _check, [(case,) for case in cases]):
             future.result()
-        jobs: list[Any] = [(case, times, measure, max_attempts) for case in cases]
-        for index, future in run_all(client, run_case, jobs):
-            error = future.exception()
-            outcomes[index] = future.result() if error is None else broken(error)
-            tell(cases[index].name, outcomes[index].result)
+        jobs: list[Any] = [(case, times, measure, limits) for case in cases]
+        try:
+            for index, future in run_all(client, run_case, jobs):
+                error = future.exception()
+                outcomes[index] = future.result() if error is None else broken(error)
+                tell(cases[index].name, outcomes[index].result)
+        except WorkersLostError as error:
+            for index in set(range(len(cases))) - set(outcomes):
+                outcomes[index] = broken(error)
+                tell(cases[index].name, outcomes[index].result)
     return [outcomes[index] for index in range(len(cases))]
 
 

@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike
 from jaxcrumple.memory import require_run
 from jaxcrumple.model.door import door
 from jaxcrumple.scenes import Setup
-from jaxcrumple.simulate import checked_times
+from jaxcrumple.simulate import checked_limit, checked_times
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import initial_state
 from jaxcrumple.sweep.batch import run_batch
-from jaxcrumple.sweep.cases import Case, Grid, Scenes, cases_of, checked_grid
+from jaxcrumple.sweep.cases import Case, Grid, Limits, Scenes, cases_of, checked_grid
 from jaxcrumple.sweep.cluster import Cluster, local_workers
 from jaxcrumple.sweep.processes import run_processes
 from jaxcrumple.sweep.table import Measure, Tell, check_names, measured, standard_measure, table
@@ -38,6 +38,7 @@ def sweep(
     cluster: Cluster = None,
     devices: Sequence[jax.Device] | None = None,
     max_attempts: int | None = None,
+    max_seconds: float | None = None,
     tell: Tell = lambda name, result: None,
 ) -> xr.Dataset:
     """Run a scene for every combination of some of its numbers.
@@ -58,7 +59,8 @@ def sweep(
       "auto": the former where JAX has an accelerator or `devices` are given, the latter on a CPU.
     - `cluster`: of the workers: a cluster or a client of Dask, or the address of a scheduler; by default
       workers on this machine, one to a core.
-    - `max_attempts`: step attempts after which a case ends with the result "budget".
+    - `max_attempts`, `max_seconds`: step attempts, and wall time in s with compiling left out, after which a
+      case ends with the result "budget". The lanes of a batch share their time.
     - `tell`: called with the name and the result of each case as it ends.
 
     **Returns:** an xarray Dataset over the names in `over`, with `result`, `t_reached`, `steps` and counters
@@ -71,20 +73,24 @@ def sweep(
     backend = _chosen(backend, cluster, devices)
     if max_attempts is not None and max_attempts < 1:
         raise ValueError(f"max_attempts = {max_attempts!r} must be at least 1.")
+    limits = Limits(
+        np.inf if max_attempts is None else max_attempts,
+        np.inf if max_seconds is None else checked_limit(max_seconds),
+    )
     stops = checked_times(times)
     linear = "two-level" if backend == "batch" else "auto"
     settings = {} if settings is None else settings
     grid = checked_grid(over, settings)
     cases = cases_of(scene, grid, settings, float(stops[-1]), solver, linear)
     first = _try(cases[0], grid, measure)
-    most = np.inf if max_attempts is None else max_attempts
     start = time.perf_counter()
     if backend == "batch":
-        outcomes = run_batch(cases, stops, measure, most, jax.devices() if devices is None else devices, tell)
+        place = jax.devices() if devices is None else devices
+        outcomes = run_batch(cases, stops, measure, limits, place, tell)
     else:
         workers = local_workers(cluster, len(cases))
         require_run(first.scene.n_nodes, len(stops), first.scene.contact is not None, workers)
-        outcomes = run_processes(cases, stops, measure, most, cluster, tell)
+        outcomes = run_processes(cases, stops, measure, limits, cluster, tell)
     attributes = {"backend": backend, "seconds": time.perf_counter() - start}
     return table(grid, stops, outcomes, attributes)
 
