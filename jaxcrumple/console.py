@@ -123,7 +123,8 @@ def _told(error: BaseException) -> int:
     text, code = explained(error)
     if code == BUG:
         _complain("".join(traceback.format_exception(error)).rstrip(), lines=True)
-    notes = getattr(error, "__notes__", [])
+    # A traceback has the notes already.
+    notes = [] if code == BUG else getattr(error, "__notes__", [])
     words = "; ".join(part for part in (text, *notes) if part)
     if words:
         _complain(words, style="yellow" if isinstance(error, Stopped) else "red")
@@ -144,8 +145,6 @@ def explained(error: BaseException) -> tuple[str, int]:
             return f"error: not enough memory{_more(error)}; {LESS}", ENDED
         case jax.errors.JaxRuntimeError() if "RESOURCE_EXHAUSTED" in str(error):
             return f"error: not enough memory on {jax.devices()[0].platform}{_more(error)}; {LESS}", ENDED
-        case RuntimeError() if "Unable to initialize backend" in str(error):
-            return f"error: JAX cannot use what JAX_PLATFORMS names{_more(error)}; unset it", REFUSED
         case WorkersLostError():
             return f"error: {error}", ENDED
         case UnicodeError():
@@ -160,11 +159,22 @@ def explained(error: BaseException) -> tuple[str, int]:
             return f"error: {_file(error)}{error.strerror}; {_cure(error)}", REFUSED
         case ValueError() if _is_ours(error):
             return f"error: {error}", REFUSED
+    if trouble := _backend_trouble():
+        return f"error: JAX has no device to run on ({trouble}); unset JAX_PLATFORMS", REFUSED
     return (
         f"error: this is a bug of jaxcrumple, or of a library under it: {type(error).__name__}: {error}. "
         f"Please report it with the lines above, the command, and the versions: {_versions()}",
         BUG,
     )
+
+
+def _backend_trouble() -> str:
+    """Why JAX has no device, as where JAX_PLATFORMS names one that this machine lacks; empty where it has."""
+    try:
+        jax.devices()
+    except RuntimeError as error:
+        return str(error).splitlines()[0]
+    return ""
 
 
 def _more(error: BaseException) -> str:

@@ -4,7 +4,8 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from concurrent.futures import CancelledError
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import cloudpickle
@@ -26,6 +27,14 @@ SILENCE = "365 days"
 LOOK, LOOKS = 10.0, 18
 # Seconds to wait for a scheduler that is given by its address.
 ANSWER = 20
+
+
+# What Dask says of a scheduler that lacks a package.
+UNPACKED = "deserialization of the task graph"
+SCHEDULER_LOST = (
+    "the scheduler of the worker processes is gone: something ended it, or cut the connection. Start again; "
+    "what campaigns saved is kept."
+)
 
 
 class WorkersLostError(RuntimeError):
@@ -51,16 +60,18 @@ def connected(cluster: Cluster, most: int) -> Iterator[Client]:
 
     These start as programs of their own, so that a script needs no guard around its main part.
 
-    **Raises:** ValueError for what is no cluster, or does not answer.
+    **Raises:** ValueError for what is no cluster, or does not answer; `WorkersLostError` for a scheduler that
+    is lost inside, or workers that cannot load this program.
     """
     if isinstance(cluster, Client):
-        yield cluster
+        with _lost_workers_named():
+            yield cluster
     elif cluster is not None:
-        with _client(cluster) as client:
+        with _lost_workers_named(), _client(cluster) as client:
             yield client
     else:
         cores = _cores()
-        with _local(min(len(cores), most)) as local, Client(local) as client:
+        with _lost_workers_named(), _local(min(len(cores), most)) as local, Client(local) as client:
             if hasattr(os, "sched_setaffinity"):
                 client.register_plugin(OneCore(cores))
             yield client
@@ -70,6 +81,22 @@ def local_workers(cluster: Cluster, most: int) -> int:
     """How many workers share this machine's memory, as `connected` starts them: one where a cluster is given,
     whose machines are not known."""
     return 1 if cluster is not None else min(len(_cores()), most)
+
+
+@contextmanager
+def _lost_workers_named() -> Iterator[None]:
+    """Say in words what Dask raises inside where its scheduler is gone, or workers lack a package."""
+    try:
+        yield
+    except CancelledError as error:
+        raise WorkersLostError(SCHEDULER_LOST) from error
+    except (ImportError, RuntimeError) as error:
+        if isinstance(error, RuntimeError) and UNPACKED not in str(error):
+            raise
+        raise WorkersLostError(
+            f"scheduler or workers cannot load this program ({str(error).splitlines()[0]}); install the same "
+            "packages for them, in the same versions."
+        ) from error
 
 
 def _client(cluster: Cluster) -> Client:
@@ -123,7 +150,7 @@ def run_all(
     What a lost worker was at is done again by another one. All that is unfinished is cancelled when the
     caller stops.
 
-    **Raises:** RuntimeError where workers of this machine are lost for good.
+    **Raises:** `WorkersLostError` where workers of this machine are lost for good, or the scheduler is.
     """
     x64 = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]
     # Packed here, so that what a worker cannot unpack is the job's error and not the worker's end.
@@ -136,7 +163,7 @@ def run_all(
             ended = _ended(client, list(waiting))
             gone = 0 if ended or _has_workers(client) else gone + 1
             if gone == LOOKS:
-                raise RuntimeError(
+                raise WorkersLostError(
                     "all worker processes are gone and none came back: something ended them, such as a "
                     "signal or a lack of memory. Start again; what campaigns saved is kept."
                 )
@@ -144,8 +171,11 @@ def run_all(
                 yield waiting.pop(future), future
                 # A result that is known must not be made again when its worker is lost.
                 future.release()
+    except CancelledError as error:
+        raise WorkersLostError(SCHEDULER_LOST) from error
     finally:
-        client.cancel(list(waiting))
+        with suppress(Exception):  # A scheduler that is gone has nothing to cancel.
+            client.cancel(list(waiting))
 
 
 def _ended(client: Client, futures: list[Future]) -> list[Future]:
