@@ -172,8 +172,9 @@ def _backend_trouble() -> str:
     """Why JAX has no device, as where JAX_PLATFORMS names one that this machine lacks; empty where it has."""
     try:
         jax.devices()
-    except RuntimeError as error:
-        return str(error).splitlines()[0]
+    except (RuntimeError, AssertionError) as error:
+        lines = str(error).splitlines()
+        return lines[0] if lines else "none of its platforms is here"
     return ""
 
 

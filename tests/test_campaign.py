@@ -1,8 +1,10 @@
 """Campaigns: nothing is lost with a worker, and nothing is done twice."""
 
+import json
 import os
 import signal
 import subprocess
+import sys
 import time
 
 import dask
@@ -147,6 +149,65 @@ def test_a_run_that_breaks_stops_alone(tmp_path, client):
     assert "is a file" in table["message"][names[2]]
     (tmp_path / names[2]).unlink()
     assert np.all(jc.campaign(runs, tmp_path, cluster=client)["result"] == "success")
+
+
+def test_a_campaign_that_is_broken_off_leaves_its_table(tmp_path, client):
+    """And goes on where it was."""
+    runs = dict(list(RUNS.items())[:4])
+
+    class Stopped(BaseException):
+        pass
+
+    def stop(name, result):
+        raise Stopped
+
+    with pytest.raises(Stopped):
+        jc.campaign(runs, tmp_path, cluster=client, tell=stop)
+    table = pd.read_csv(tmp_path / "campaign.csv", index_col="run")
+    assert len(table) >= 1 and set(table.index) <= set(runs) and np.all(table["result"] == "success")
+    assert np.all(jc.campaign(runs, tmp_path, cluster=client)["result"] == "success")
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_is_killed_is_told(tmp_path):
+    """By the command, which exits with 1; what had ended is in the table."""
+    where = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+    file, scheduler_file = tmp_path / "arch.toml", tmp_path / "scheduler.json"
+    settings = 'scene = "arch"\nt_end = 3e-3\nsettings = {nodes = 60, scheme = "explicit"}\n'
+    file.write_text(settings + "over = {load = [0.1, 0.15, 0.2, 0.25, 0.3, 0.35]}\n")
+    dask = [sys.executable, "-m", "dask"]
+    scheduler = subprocess.Popen([*dask, "scheduler", *where, "--scheduler-file", scheduler_file])
+    worker = subprocess.Popen(
+        [
+            *dask,
+            "worker",
+            "--scheduler-file",
+            scheduler_file,
+            "--nthreads",
+            "1",
+            "--no-nanny",
+            "--no-dashboard",
+        ],
+        cwd=tmp_path,
+    )
+    try:
+        while not scheduler_file.exists():
+            time.sleep(0.1)
+        address = json.loads(scheduler_file.read_text())["address"]
+        words = ["campaign", str(file), "--out", str(tmp_path / "runs"), "--scheduler", address]
+        program = [sys.executable, "-m", "jaxcrumple", *words]
+        command = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        assert command.stdout.readline().endswith(": success\n")
+        scheduler.kill()
+        _, errors = command.communicate(timeout=200)
+    finally:
+        scheduler.kill()
+        worker.kill()
+    assert command.returncode == 1
+    last = errors.splitlines()[-1]
+    assert last.startswith("error: the scheduler of the worker processes is gone")
+    assert "what was saved is kept in" in last and "Traceback" not in errors
+    assert len(pd.read_csv(tmp_path / "runs" / "campaign.csv")) >= 1
 
 
 @pytest.mark.slow

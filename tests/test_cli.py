@@ -6,6 +6,7 @@ import os
 import re
 import runpy
 import shutil
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -169,15 +170,17 @@ def test_version_and_module(monkeypatch, capsys):
 
 
 def test_an_interrupted_run_says_how_to_go_on(tmp_path, monkeypatch, capsys):
-    def interrupt(*_):
-        raise KeyboardInterrupt
+    def interrupt(config, folder, *_, **__):
+        folder.mkdir()
+        (folder / "run.json").touch()
+        signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr("jaxcrumple.run.start_run", interrupt)
     monkeypatch.setattr(sys, "argv", ["jaxcrumple", "run", "radial", "--out", str(tmp_path / "out")])
     with pytest.raises(SystemExit) as caught:
         cli.main()
     assert caught.value.code == 130
-    assert f"jaxcrumple run radial --resume --out {tmp_path / 'out'}" in capsys.readouterr().out
+    assert f"jaxcrumple run radial --resume --out {tmp_path / 'out'}" in capsys.readouterr().err
 
 
 def test_plot_draws_again(copy, monkeypatch, capsys):

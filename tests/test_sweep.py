@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from concurrent.futures import CancelledError
 
 import equinox as eqx
 import jax
@@ -12,7 +13,7 @@ import pytest
 import xarray as xr
 
 import jaxcrumple as jc
-from jaxcrumple.sweep import lanes
+from jaxcrumple.sweep import cluster, lanes
 from jaxcrumple.sweep.cluster import connected
 
 LOADS, TIMES = (0.3, 0.1, 0.2), (5e-4, 1e-3)
@@ -110,6 +111,13 @@ def test_a_budget_ends_lanes(swept):
     assert np.all(np.isfinite(table.height.isel(time=0))) and np.all(np.isnan(table.height.isel(time=1)))
 
 
+def test_a_limit_of_wall_time_ends_lanes(swept):
+    """Looked at after each call of their program, of which the first compiles and is not counted."""
+    del swept  # It has compiled the program.
+    table = batch(max_seconds=0.0)
+    assert np.all(table.result == "budget") and np.all(table.t_reached < TIMES[-1])
+
+
 @pytest.fixture(scope="module")
 def client():
     """Two workers of this machine."""
@@ -170,6 +178,7 @@ def test_words_and_none_are_values():
         ({"load": [0.1]}, {"devices": []}, "leaves no device"),
         ({"load": [0.1]}, {"devices": jax.devices(), "backend": "processes"}, "devices are for"),
         ({"load": [0.1]}, {"max_attempts": 0}, "max_attempts = 0"),
+        ({"load": [0.1]}, {"max_seconds": np.nan}, "max_seconds = nan must be a wall time in s"),
         ({"laod": [0.1]}, {}, "did you mean 'load'"),
         ({"load": [0.1, -1.0]}, {}, "load=-1.0: options.load = -1.0"),
         ({"rise": [0.002, 0.02]}, {}, "rise=0.02: rise = 0.02 m is more than half"),
@@ -243,6 +252,30 @@ def test_a_worker_refuses_a_case_before_any_runs(client):
     with pytest.raises(ValueError, match=r"rise=0\.02: rise = 0\.02 m is more than half"):
         jc.sweep("arch", {"rise": [0.002, 0.02]}, 1e-5, **options)
     assert not told
+
+
+def test_cases_whose_time_is_up_stop_alone(client):
+    table = batch(max_seconds=0.0, backend="processes", cluster=client)
+    assert np.all(table.result == "budget") and np.all(table.t_reached == 0.0)
+
+
+def test_cases_of_a_lost_scheduler_are_errors(monkeypatch, client):
+    """And what had ended is in the table."""
+
+    def lost(*_):
+        raise CancelledError
+
+    def tell(name, result):
+        told.append((name, result))
+        monkeypatch.setattr(cluster, "wait", lost)
+
+    told = []
+    table = batch(backend="processes", cluster=client, tell=tell)
+    results = sorted(table.result.values.tolist())
+    assert results in (["error", "error", "success"], ["error", "success", "success"])
+    assert sorted(result for _, result in told) == results
+    messages = table.message.values[table.result.values == "error"]
+    assert all(m.startswith("WorkersLostError: the scheduler of the worker") for m in messages)
 
 
 @pytest.mark.slow

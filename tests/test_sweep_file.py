@@ -49,6 +49,24 @@ def test_values_with_units_are_numbers_in_si(file):
     assert found.over == {"load": [0.2, 0.1], "max_step": [1e-3, "none"]}
 
 
+def test_a_limit_of_wall_time_is_read(file):
+    assert read_sweep(file).max_seconds is None
+    file.write_text(FILE.replace("frames = 2", 'max_seconds = "30 min"'))
+    assert read_sweep(file).max_seconds == 1800.0
+
+
+def test_a_campaign_whose_time_is_up_goes_on_later(file, tmp_path):
+    """The option replaces what the file says; each run is saved as far as it came."""
+    file.write_text(FILE.replace("frames = 2", 'frames = 2\nmax_seconds = "1 hour"'))
+    arguments = ["campaign", str(file), "--out", str(tmp_path / "runs")]
+    for limit, code, result in ((["--max-seconds", "0 s"], 1, "budget"), ([], 0, "success")):
+        found = CliRunner().invoke(app, [*arguments, *limit], catch_exceptions=False)
+        assert found.exit_code == code, found.output
+        table = pd.read_csv(tmp_path / "runs" / "campaign.csv", index_col="run")
+        assert table["result"].tolist() == [result] * 2
+    assert table["t_reached"].tolist() == [1e-4] * 2
+
+
 def test_the_command_writes_a_table_and_overwrites_none(file):
     arguments = ["sweep", str(file), "--backend", "batch"]
     result = CliRunner().invoke(app, arguments, catch_exceptions=False)
@@ -87,6 +105,8 @@ def test_a_campaign_is_done_once(file, tmp_path):
         ("[over]", "[overs]", "'overs' is unknown; did you mean 'over'"),
         ("nodes = 60", "frames = 3", "frames is the same for all: give it at the top"),
         ("max_step", "t_end", "t_end is the same for all"),
+        ("max_step", "max_seconds", "max_seconds is the same for all"),
+        ("frames = 2", 'max_seconds = "2 mm"', r"max_seconds = '2 mm' is a length; give a time"),
         ("[0.2, 0.1]", '["2 mm", 0.1]', r"over\.load = \['2 mm', 0\.1\]: one is a length; give a force"),
     ],
 )
