@@ -1,6 +1,5 @@
 """Random motions of two triangles of thin layers, and whether they collide by tight inclusion (ipctk)."""
 
-import ipctk
 import numpy as np
 
 from jaxcrumple.model.distance import CORNERS, EDGES, ENDS
@@ -44,6 +43,8 @@ def _intersecting(x: np.ndarray) -> np.ndarray:
 
 def collide(start: np.ndarray, end: np.ndarray) -> bool:
     """Whether two triangles (2, 3, 3) collide on straight ways, from start to end."""
+    import ipctk  # has no wheel for some machines, where only what needs it is skipped
+
     oracle = ipctk.TightInclusionCCD()
     # Its tolerance is 1e-6, a millionth of the range then.
     start, end = start / SIGMA, end / SIGMA

@@ -1,7 +1,6 @@
 """No step lets the sheet through itself: continuous collision detection and the audit, against ipctk."""
 
 import ccd_queries
-import ipctk
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +14,11 @@ from jaxcrumple.model.distance import primitive_distances
 from jaxcrumple.model.intersections import intersections
 
 SIGMA = ccd_queries.SIGMA
+
+
+@pytest.fixture
+def ipctk():
+    return pytest.importorskip("ipctk")
 
 
 def corners(x):
@@ -36,7 +40,7 @@ def verdicts(count, seed):
     return ours, np.array([ccd_queries.collide(a, b) for a, b in zip(start, end, strict=True)])
 
 
-def test_no_collision_is_missed_and_few_are_made_up():
+def test_no_collision_is_missed_and_few_are_made_up(ipctk):
     ours, truth = verdicts(3000, 1)
     assert 0.1 < truth.mean() < 0.5
     assert not np.any(truth & ~ours)
@@ -44,7 +48,7 @@ def test_no_collision_is_missed_and_few_are_made_up():
 
 
 @pytest.mark.slow
-def test_no_collision_is_missed_in_a_million_queries():
+def test_no_collision_is_missed_in_a_million_queries(ipctk):
     """Each pair of triangles is fifteen queries of a point and a triangle, or of two edges."""
     made_up = []
     for seed in range(7):
@@ -54,7 +58,7 @@ def test_no_collision_is_missed_in_a_million_queries():
     assert np.mean(made_up) <= 0.01
 
 
-def test_distance_of_triangles_is_that_of_ipctk():
+def test_distance_of_triangles_is_that_of_ipctk(ipctk):
     start, _ = ccd_queries.queries(400, 2)
     parts = np.asarray(primitive_distances(*corners(jnp.asarray(start))))
     nearest = np.full(len(start), np.inf)
@@ -76,7 +80,7 @@ def test_parallel_edges_have_a_distance():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_audit_agrees_with_ipctk(seed):
+def test_audit_agrees_with_ipctk(ipctk, seed):
     mesh = jc.rectangle(0.1, 0.1, 150, seed=seed, sweeps=10)
     rng = np.random.default_rng(seed)
     # A smooth crumple that just meets itself in about half of the cases.

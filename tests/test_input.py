@@ -197,9 +197,8 @@ def test_a_level_that_leaves_holes_in_the_sheet_is_pointed_out():
         with warnings.catch_warnings(record=True) as seen:
             warnings.simplefilter("always")
             sheet(MESH, Material(), contact=options)
-        assert [str(w.message)[:45] for w in seen] == [
-            "contact level = 1 leaves sites so far apart t"
-        ] * warns
+        ours = [str(w.message) for w in seen if issubclass(w.category, UserWarning)]
+        assert [text[:45] for text in ours] == ["contact level = 1 leaves sites so far apart t"] * warns
 
 
 def test_positions_that_are_none_are_refused_before_a_search():

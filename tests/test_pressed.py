@@ -14,6 +14,7 @@ from scipy.optimize import brentq
 import jaxcrumple as jc
 from jaxcrumple.measure import count_intersections, edge_strain
 from jaxcrumple.model.geometry import curvature
+from jaxcrumple.solvers.choice import direct_available
 
 SIGMA, THICKNESS, DENSITY, G = 0.5e-3, 0.3e-3, 1000.0, 9.81
 UP = np.array([0.0, 0.0, 1.0])
@@ -214,6 +215,7 @@ def test_planes_that_leave_no_room_end_in_a_named_result():
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(not direct_available(), reason="needs the extra `direct`")
 def test_prescribed_motion_through_the_sheet_ends_in_a_named_result():
     mesh = strip(2.0 * SIGMA)
     x, edge = folded(mesh, 2.0 * SIGMA), mesh.vertices[:, 0] == mesh.vertices[:, 0].max()

@@ -32,8 +32,8 @@ def choose_linear_solver(name: str | AbstractLinearSolver) -> AbstractLinearSolv
         raise ValueError(f"linear solver {name!r} is unknown; choose one of {', '.join(LINEAR_SOLVERS)}.")
     if name == "direct" and not direct_available():
         raise ValueError(
-            "the direct solver needs the extra, pip install 'jaxcrumple[direct]' (x86-64 Linux), and a "
-            "CPU as JAX's default device; or choose linear solver two-level."
+            "the direct solver needs the extra, pip install 'jaxcrumple[direct]' (x86-64 Linux, Python up to "
+            "3.13), and a CPU as JAX's default device; or choose linear solver two-level."
         )
     if name == "block-cg":
         return BlockCG()
