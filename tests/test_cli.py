@@ -11,8 +11,10 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import h5py
 import numpy as np
 import pytest
+from pictures import colors
 
 import jaxcrumple
 from jaxcrumple import cli
@@ -72,10 +74,11 @@ def contents(path):
 def test_run_succeeds_and_reports(finished):
     folder, result = finished
     assert result.returncode == 0, result.stderr
-    assert result.stderr == ""
+    # A third party's warning is no fault of the run.
+    assert os.path.dirname(jaxcrumple.__file__) not in result.stderr
     for text in ("result: success", "3 switches", "mJ bending", "largest", f"all results: {folder}"):
         assert text in result.stdout
-    assert "Traceback" not in result.stdout
+    assert "Traceback" not in result.stdout + result.stderr
 
 
 def test_every_file_is_there(finished):
@@ -95,7 +98,7 @@ def test_every_file_is_there(finished):
     assert expected | {"run.vtkhdf"} <= names
     pictures = sorted(folder.glob("*.png"))
     assert len(pictures) >= 2
-    assert all(picture.read_bytes().startswith(b"\x89PNG") for picture in pictures)
+    assert all(colors(picture) > 10 for picture in pictures)
     assert all(f"picture: {picture}" in result.stdout for picture in pictures)
     assert not list(folder.rglob("*.tmp"))
 
@@ -190,8 +193,11 @@ def test_plot_draws_again(copy, monkeypatch, capsys):
     with pytest.raises(SystemExit) as caught:
         cli.main()
     assert caught.value.code == 0
-    assert len(list(copy.glob("*.png"))) >= 2
-    assert (copy / "run.vtkhdf").is_file()
+    drawn = ["creases.png", "energies.png", "sheet.png", "steps.png"]
+    assert sorted(path.name for path in copy.glob("*.png")) == drawn
+    assert all(colors(copy / name) > 10 for name in drawn)
+    with h5py.File(copy / "run.vtkhdf") as film:
+        assert film["VTKHDF/Steps/Values"][:] == pytest.approx(jaxcrumple.load(copy).t)
     assert str(copy / "run.vtkhdf") in capsys.readouterr().out
 
 
@@ -411,6 +417,5 @@ except ValueError as error:
     clean = {k: v for k, v in os.environ.items() if k != "JAX_ENABLE_X64"}
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=clean)
     assert result.returncode == 0, result.stderr
-    assert result.stderr == ""
     assert result.stdout.startswith("jaxcrumple needs float64")
     assert 'jax.config.update("jax_enable_x64", True)' in result.stdout

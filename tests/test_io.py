@@ -82,7 +82,9 @@ def test_config_round_trips(folder):
 
 
 def test_empty_folder_is_accepted(tmp_path, mesh):
-    assert RunDirectory.create(tmp_path, {}, mesh, stiffness_of(mesh)).counts == (0, 0, 0)
+    created = RunDirectory.create(tmp_path, {"nodes": 7}, mesh, stiffness_of(mesh))
+    assert (created.path, created.counts) == (tmp_path, (0, 0, 0))
+    assert RunDirectory.open(tmp_path).config == {"nodes": 7}
 
 
 def test_occupied_places_are_refused(tmp_path, folder, mesh):

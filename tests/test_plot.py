@@ -1,10 +1,11 @@
 """Pictures are written, whole and with something in them, and leave matplotlib as it was."""
 
 import matplotlib as mpl
-import matplotlib.image
+import matplotlib.colors
 import numpy as np
 import pandas as pd
 import pytest
+from pictures import colors
 
 from jaxcrumple import Material, plot
 from jaxcrumple.io import RunDirectory, RunDirectoryError
@@ -45,13 +46,6 @@ def stiffness_of(mesh):
     return np.ones(len(mesh.edges)), np.ones(len(mesh.hinges))
 
 
-def colors(path):
-    """Number of different colours of a picture."""
-    pixels = matplotlib.image.imread(path)
-    assert min(pixels.shape[:2]) > 400
-    return len(np.unique(np.round(255 * pixels[..., :3]).reshape(-1, 3), axis=0))
-
-
 def test_sheet(tmp_path, mesh, folded, kept_figures):
     figures = kept_figures(plot)
     path = tmp_path / "sheet.png"
@@ -65,10 +59,22 @@ def test_sheet(tmp_path, mesh, folded, kept_figures):
     assert np.ptp(axes.get_xlim()) >= 1e3 * np.ptp(folded[0][:, 0])
 
 
-def test_sheet_in_other_colors(tmp_path, mesh, folded):
+def _hues(rgba):
+    return len(np.unique(np.round(mpl.colors.rgb_to_hsv(rgba[:, :3])[:, 0], 3)))
+
+
+def test_sheet_in_other_colors(tmp_path, mesh, folded, kept_figures):
+    figures = kept_figures(plot)
+    seen = []
     for color in (mesh.vertices[:, 0], mesh.face_area, np.zeros(mesh.n_nodes)):
-        plot.plot_sheet(mesh, folded[0], color=color, label="area [m2]", path=tmp_path / "a.png")
-    assert (tmp_path / "a.png").stat().st_size > 10_000
+        seen.append(
+            colors(plot.plot_sheet(mesh, folded[0], color=color, label="m2", path=tmp_path / "a.png"))
+        )
+        assert figures[-1].axes[1].get_ylabel() == "m2"
+    assert min(seen) > 100
+    # Both faces of the same colours: a value of one node or triangle is seen, zeros are of one hue.
+    hues = [_hues(figure.axes[0].collections[0].get_facecolor()) for figure in figures]
+    assert hues[0] > 50 and hues[1] > 50 and hues[2] == 1
 
 
 def test_creases(tmp_path, mesh, folded, kept_figures):
@@ -86,9 +92,14 @@ def test_creases(tmp_path, mesh, folded, kept_figures):
     assert [label.split(",")[0] for label in labels] == ["mountain", "valley"]
 
 
-def test_flat_new_sheet(tmp_path, mesh):
-    plot.plot_sheet(mesh, mesh.vertices, path=tmp_path / "a.png")
+def test_flat_new_sheet(tmp_path, mesh, kept_figures):
+    figures = kept_figures(plot)
+    assert colors(plot.plot_sheet(mesh, mesh.vertices, path=tmp_path / "a.png")) > 100
     plot.plot_creases(mesh, mesh.vertices, mesh.rest_curvature, path=tmp_path / "b.png")
+    sheet, creases = figures
+    assert len(sheet.axes[0].collections[0].get_facecolor()) == len(mesh.faces)
+    assert [len(lines.get_segments()) for lines in creases.axes[0].collections[1:]] == [0, 0]
+    assert [text.get_text() for text in creases.legends[0].get_texts()] == ["mountain, 0 cm", "valley, 0 cm"]
 
 
 def test_steps(tmp_path, history, kept_figures):
@@ -142,7 +153,7 @@ def test_pictures_of_a_run(tmp_path, mesh, folded, history):
     folder.commit({}, {"t": 0.0})
     names = ["sheet.png", "creases.png", "steps.png", "energies.png"]
     assert [path.name for path in plot.plot_run(folder.path)] == names
-    assert all((folder.path / name).is_file() for name in names)
+    assert all(colors(folder.path / name) > 10 for name in names)
 
 
 @pytest.mark.parametrize(

@@ -6,13 +6,13 @@ import sys
 import meshio
 import numpy as np
 import pytest
-from scene_files import config, spoilt, valid
+from scene_files import config, plain_words, spoilt, valid
 from typer.testing import CliRunner
 
 import jaxcrumple as jc
 from jaxcrumple import cli
 from jaxcrumple.check import described
-from jaxcrumple.config import configure
+from jaxcrumple.config import complete, configure
 from jaxcrumple.estimate import estimate
 from jaxcrumple.scenes import SCENES
 from jaxcrumple.template import template
@@ -268,4 +268,5 @@ def test_valid_files_are_accepted(file):
 
     rng = np.random.default_rng(5)
     for _ in range(100):
-        jc.read_scene_file(file(tomlkit.dumps(valid(rng))))
+        values = valid(rng)
+        assert jc.read_scene_file(file(tomlkit.dumps(values))) == complete(plain_words(values))
