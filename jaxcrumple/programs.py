@@ -1,28 +1,105 @@
-"""Compiled programs: forgotten before they use up the mappings that the system grants a process."""
+"""Compiled programs: forgotten before they use up the mappings or the memory that a process may have."""
 
+import ctypes
+import gc
+import os
 from pathlib import Path
+from typing import Any
 
+import equinox as eqx
 import jax
 
-# Where Linux lists the mappings of this process, and how many it may have.
+# Where Linux lists the mappings of this process, how many it may have, how many pages of memory it uses, and
+# how many bytes its container may have.
 MAPPINGS, LIMIT = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
-# Share of them from which on programs are forgotten: what is left is enough for several more.
+PAGES, CONTAINER = Path("/proc/self/statm"), Path("/sys/fs/cgroup/memory.max")
+# Share of the mappings from which on programs are forgotten: what is left is enough for several more.
 SHARE = 0.6
+# Programs are kept for FEW scenes of other sizes, and while memory has grown by less than GROWTH bytes since
+# programs were last forgotten: who changes between a few scenes compiles each once. Above MOST of all memory
+# no number is kept.
+FEW, GROWTH, MOST = 4, 300e6, 0.5
 
 
-def make_room(share: float = SHARE) -> bool:
-    """Forget all compiled programs if this process has used a `share` of its mappings; whether it did.
+class _Memory:
+    """What was compiled since programs were last forgotten, and the memory in use after that."""
 
-    XLA maps each kernel of a program by itself: a run with contact takes 4300 of the 65 530 that Linux
-    grants by default, and where LLVM gets no more it ends the process. JAX keeps every program that it ever
-    compiled, also those for lists of contact that have grown since. What is needed again is compiled again,
-    or read from the persistent cache. Elsewhere than on Linux nothing is known, and nothing done.
+    def __init__(self) -> None:
+        self.compiled: set[int] = set()
+        self.before: float | None = None
+
+    def crowded(self, program: int) -> bool:
+        """Whether to forget before another `program` is compiled, which is noted."""
+        used = resident()
+        if used is None or program in self.compiled:
+            return False
+        self.before = used if self.before is None else min(self.before, used)
+        many = len(self.compiled) >= FEW or used > MOST * memory()
+        return bool(self.compiled) and many and used - self.before > GROWTH
+
+    def forgotten(self) -> None:
+        self.compiled, self.before = set(), resident()
+
+
+_memory = _Memory()
+
+
+def make_room(*arguments: Any, share: float = SHARE) -> bool:
+    """Forget all compiled programs if memory or mappings run short; whether it did.
+
+    JAX keeps every program that it ever compiled, also those for meshes and lists of contact of sizes that do
+    not come again. One of a phantom sheet takes 0.1 GB, with contact 1 GB. XLA maps each kernel of a program
+    by itself: a run with contact takes 4300 of the 65 530 that Linux grants by default, and where LLVM gets
+    no more it ends the process. What is needed again is compiled again, or read from the persistent cache.
+    Elsewhere than on Linux nothing is known, and nothing done.
+
+    **Arguments:** `arguments` with which a program is called next. One that was called with such since
+    programs were last forgotten needs no more memory, and none is made. `share` of the mappings that may be
+    in use.
     """
+    program = _signature(arguments)
+    crowded = _memory.crowded(program) or _out_of_mappings(share)
+    if crowded:
+        eqx.clear_caches()
+        jax.clear_caches()
+        gc.collect()
+        _give_back()
+        _memory.forgotten()
+    _memory.compiled.add(program)
+    return crowded
+
+
+def resident() -> float | None:
+    """Memory in bytes that this process has in use, or None where that is not known."""
+    if not PAGES.exists():
+        return None
+    return int(PAGES.read_text().split()[1]) * float(os.sysconf("SC_PAGE_SIZE"))
+
+
+def memory() -> float:
+    """Memory in bytes that the machine has, or its container may have."""
+    machine = float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
+    limit = CONTAINER.read_text().strip() if CONTAINER.exists() else "max"
+    return machine if limit == "max" else min(machine, float(limit))
+
+
+def _signature(arguments: Any) -> int:
+    """A number that is the same for arguments that run the same compiled program."""
+    arrays, rest = eqx.partition(arguments, eqx.is_array)
+    shapes = tuple((leaf.shape, str(leaf.dtype)) for leaf in jax.tree.leaves(arrays))
+    return hash((shapes, jax.tree.structure(arrays), repr(jax.tree.leaves(rest))))
+
+
+def _out_of_mappings(share: float) -> bool:
     if not (MAPPINGS.exists() and LIMIT.exists()):
         return False
     with MAPPINGS.open("rb") as lines:
         used = sum(1 for _ in lines)
-    crowded = used >= share * int(LIMIT.read_text())
-    if crowded:
-        jax.clear_caches()
-    return crowded
+    return used >= share * int(LIMIT.read_text())
+
+
+def _give_back() -> None:
+    """Hand free memory back to the system where the C library keeps it: half of what programs took."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)

@@ -98,7 +98,7 @@ class Renewal:
 
     def grown(self, scene: Scene, needed: np.ndarray) -> Scene:
         """The scene with room for `needed` (4,), doubled until that fits, or would soon be too small."""
-        make_room()  # for the program that takes the longer lists
+        make_room("lists", self.room)  # for the program that takes the longer lists
         sizes = zip(self.room, needed[:3], strict=True)
         self._enlarge(max(doubled(room, int(SOON * much)) // room for room, much in sizes))
         self.places = max(self.places, PLACES * self.room.triangles)

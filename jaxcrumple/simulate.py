@@ -260,7 +260,7 @@ def _attempts(state: State) -> int:
 
 def _compile(scene: Scene, state: State, solver: Integrator, recorder: Recorder | None) -> float:
     """Compile by a call that has nothing to do; return the seconds it took."""
-    make_room()
+    make_room(scene, state, solver, recorder is None)
     start = time.perf_counter()
     jax.block_until_ready(_called(scene, state, state.t, solver, as_float(0.0), recorder))
     return time.perf_counter() - start

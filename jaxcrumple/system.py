@@ -80,6 +80,15 @@ def potential_energy(scene: Scene, x: ArrayLike, p: ArrayLike | None, t: ArrayLi
     return sum(parts[:-1], jnp.zeros((), x.dtype))
 
 
+def force_terms(scene: Scene, x: Array, p: Array | None, t: Array) -> list[Array]:
+    """Forces (n, 3) in N on nodes at rest, term by term; their sum is `force` without velocity."""
+    bending = scene.bending.force(scene.bending.hinges(x), scene.rest_curvature(p), x.shape[0])
+    terms = [scene.membrane.force(x), bending]
+    terms += [] if scene.contact is None else [scene.contact.force(x)]
+    terms += [term.force(x, t) for term in (*scene.walls, *scene.extra)]
+    return terms if scene.gravity is None else [*terms, scene.gravity.force()]
+
+
 def _external_force(scene: Scene, x: Array, t: Array) -> Array:
     total = scene.membrane.force(x)
     if scene.contact is not None:
@@ -184,9 +193,15 @@ def linearize(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array]
 
 @door
 def elastic_tangent(
-    scene: Scene, x: ArrayLike, p: ArrayLike | None, t: ArrayLike, shift: ArrayLike = 0.0
+    scene: Scene,
+    x: ArrayLike,
+    p: ArrayLike | None,
+    t: ArrayLike,
+    shift: ArrayLike = 0.0,
+    taut: Array | None = None,
 ) -> Array:
-    """Values (size,) of the Hessian of the potential energy plus `shift` times the mass, in N/m.
+    """Values (size,) of the Hessian of the potential energy plus `shift` times the mass, in N/m; `taut` as in
+    `Membrane.blocks`.
 
     **Raises:** ValueError for arrays as `energies` does.
     """
@@ -194,7 +209,7 @@ def elastic_tangent(
     p, t = _others(scene, p, t)
     nodes = (shift * scene.mass)[:, None, None] * jnp.eye(3)
     hinge_blocks = scene.bending.blocks(x, scene.rest_curvature(p), None)
-    return _assemble(scene, x, t, scene.membrane.blocks(x), hinge_blocks, nodes)
+    return _assemble(scene, x, t, scene.membrane.blocks(x, taut), hinge_blocks, nodes)
 
 
 def _assemble(scene: Scene, x, t, edge_blocks, hinge_blocks, nodes) -> Array:

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxcrumple.model.geometry import Vec, dyad, gather, length, scale, sub
+from jaxcrumple.model.geometry import Vec, add, dot, dyad, gather, length, scale, sub
 from jaxcrumple.model.stencil import scatter
 
 
@@ -74,7 +74,22 @@ class Membrane(eqx.Module):
         r, tension_per_length = self._edges(x)
         return edge_force(self.nodes, r, tension_per_length, x.shape[0])
 
-    def blocks(self, x: Array) -> Array:
-        """Element Hessians (3, 3, 3, e) in N/m (A.3)."""
+    def blocks(self, x: Array, taut: Array | None = None) -> Array:
+        """Element Hessians (3, 3, 3, e) in N/m (A.3).
+
+        Where `taut`, a bool, is true, compressed edges have no transverse stiffness: each block is then
+        positive semidefinite.
+        """
         r, tension_per_length = self._edges(x)
+        if taut is not None:
+            tension_per_length = jnp.where(taut & (tension_per_length < 0), 0.0, tension_per_length)
         return edge_blocks(r, self.stiffness, tension_per_length)
+
+    def turning_force(self, x: Array, y: Array) -> Array:
+        """Nodal forces (n, 3) in N, along the edges at `x`, of the part of their lengthening on the straight
+        way to `y` that is not linear in it: rotated edges grow longer by second order."""
+        r, _ = self._edges(x)
+        u = sub(*gather(y - x, self.nodes))
+        old = length(r)
+        growth = length(add(r, u)) - old - dot(r, u) / old
+        return edge_force(self.nodes, r, self.stiffness * growth / old, x.shape[0])

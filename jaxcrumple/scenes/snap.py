@@ -14,7 +14,7 @@ from jaxcrumple.model.loads import LinearMotion, Prescribed
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.renewal import with_contacts
 from jaxcrumple.scenes.setup import Setup
-from jaxcrumple.solvers.relax import Relaxed, relax
+from jaxcrumple.solvers.relax import RELAXED, Relaxed, relax
 from jaxcrumple.state import State, check_state, initial_state
 from jaxcrumple.system import energies
 
@@ -39,14 +39,14 @@ class Drop(NamedTuple):
 
 
 @door
-def energy_drop(scene: Scene, before: State, after: State, *, force_tolerance: float = 1e-9) -> Drop:
+def energy_drop(scene: Scene, before: State, after: State, *, force_tolerance: float | None = None) -> Drop:
     """Drop of relaxed energy between two states, both brought to rest under the load that `before` bears.
 
     The result depends on the two branches of equilibria and on `before.t` alone, not on how the states
     came about: an integrator's frames before and after its snap serve as well as `relaxed_drop`'s.
 
     **Arguments:** `before`: a state shortly before the snap, its time below that of the limit point;
-    `after`: any later state beyond the snap; `force_tolerance`: as in `relax`, in N.
+    `after`: any later state beyond the snap; `force_tolerance`: as in `relax`.
 
     **Raises:** ValueError when an equilibrium is not found, or both states come to rest in the same one.
     """
@@ -65,7 +65,7 @@ def energy_drop(scene: Scene, before: State, after: State, *, force_tolerance: f
 
 @door
 def relaxed_drop(
-    setup: Setup, before: float, after: float, *, steps: int = 20, force_tolerance: float = 1e-9
+    setup: Setup, before: float, after: float, *, steps: int = 20, force_tolerance: float | None = None
 ) -> Drop:
     """`energy_drop` of a scene without any integrator.
 
@@ -85,7 +85,7 @@ def relaxed_drop(
     return energy_drop(scene, state, beyond, force_tolerance=force_tolerance)
 
 
-def _rest(scene: Scene, state: State, t: ArrayLike, force_tolerance: float) -> Relaxed:
+def _rest(scene: Scene, state: State, t: ArrayLike, force_tolerance: float | None) -> Relaxed:
     t = jnp.asarray(t, float)
     x = state.x if scene.prescribed is None else scene.prescribed.position(state.x, t)
     moved = eqx.tree_at(lambda s: (s.t, s.x), state, (t, x))
@@ -93,7 +93,8 @@ def _rest(scene: Scene, state: State, t: ArrayLike, force_tolerance: float) -> R
     if not rest.converged:
         raise ValueError(
             f"no equilibrium found at t = {float(t):.4g} s: {float(rest.max_force):.2g} N are left on a node "
-            f"after {int(rest.iterations)} iterations; choose a time away from the limit point."
+            f"after {int(rest.iterations)} iterations ({RELAXED[rest.result]}); choose a time away from the "
+            "limit point."
         )
     return rest
 

@@ -43,7 +43,7 @@ def run_batch(
         raise ValueError(
             "the direct solver takes one sheet at a time; take linear='two-level', or backend='processes'."
         )
-    make_room()
+    make_room("batch", cases)
     with limited_blas():
         batch = _Batch(cases, times, limits, devices)
         frames = [Frames(measure, setup) for setup in batch.setups]

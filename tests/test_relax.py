@@ -1,0 +1,138 @@
+"""`relax`: a heavy cantilever against the elastica, a tolerance that knows the forces, and why it stops."""
+
+import functools
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_bvp
+
+import jaxcrumple as jc
+from jaxcrumple.scenes.snap import fixed
+from jaxcrumple.solvers.relax import RELAXED, relax
+
+LENGTH, WIDTH, CLAMP, G = 0.1, 0.02, 0.006, 9.81
+
+
+@functools.cache
+def mesh():
+    return jc.rectangle(LENGTH, WIDTH, 300, seed=1)
+
+
+def cantilever(g=G, soft=1.0, walls=()):
+    """A strip 0.1 mm thick, clamped at one end, under gravity; `soft` scales its stiffness and density."""
+    x = mesh().vertices
+    material = jc.Material(thickness=1e-4, young_modulus=1e9 * soft, density=1e3 * soft, yield_curvature=None)
+    clamp = x[:, 0] < x[:, 0].min() + CLAMP
+    return jc.sheet(mesh(), material, gravity=(0.0, 0.0, -g), prescribed=fixed(clamp, x), walls=walls)
+
+
+def rested(scene, **options):
+    return relax(scene, jc.initial_state(scene, mesh().vertices), **options)
+
+
+def tip(rest):
+    """Position (2,) of the free end's middle, along the strip and up."""
+    x = mesh().vertices
+    return np.asarray(rest.state.x)[x[:, 0] > x[:, 0].max() - 1e-9][:, [0, 2]].mean(axis=0)
+
+
+def elastica(load):
+    """Tip (2,) of an inextensible beam of unit length and bending stiffness under its weight `load`."""
+    s = np.linspace(0.0, 1.0, 101)
+
+    def slopes(s, y):
+        return [y[1], -load * (1.0 - s) * np.cos(y[0]), np.cos(y[0]), -np.sin(y[0])]
+
+    def ends(a, b):
+        return [a[0], b[1], a[2], a[3]]
+
+    solution = solve_bvp(slopes, ends, s, np.array([s, 1.0 - s, s, -s]), tol=1e-8)
+    assert solution.success
+    return solution.y[2:, -1]
+
+
+def test_a_heavy_cantilever_takes_tens_of_iterations_to_the_elastica():
+    heavy = rested(cantilever())
+    assert heavy.converged
+    assert RELAXED[heavy.result].startswith("the net force on every free node")
+    assert int(heavy.negative) == 0
+    assert int(heavy.iterations) <= 50
+    # A strip this wide and thin bends as a plate, stiffer than a beam by 1/(1 - nu^2), and nu is 1/3.
+    x = mesh().vertices[:, 0]
+    root = x[x < x.min() + CLAMP].max()
+    span = x.max() - root
+    load = 12.0 * (1.0 - 1.0 / 9.0) * 1e3 * G * span**3 / (1e9 * 1e-4**2)
+    expected = elastica(load) * span
+    assert expected[1] < -0.6 * span
+    np.testing.assert_allclose(tip(heavy) - [root, 0.0], expected, atol=0.01 * span)
+
+
+def test_the_default_tolerance_is_relative():
+    strong, soft = rested(cantilever()), rested(cantilever(soft=1e-6))
+    assert strong.converged and soft.converged
+    assert int(strong.iterations) == int(soft.iterations)
+    assert float(soft.force_scale) == pytest.approx(1e-6 * float(strong.force_scale), rel=1e-6)
+    assert float(soft.max_force) <= 1e-9 * float(soft.force_scale) or float(soft.max_force) < 1e-16
+    np.testing.assert_allclose(soft.state.x, strong.state.x, atol=1e-7 * LENGTH)
+
+
+def test_a_tolerance_above_all_forces_is_called_loose():
+    scene = cantilever()
+    rest = rested(scene, force_tolerance=1e-3)
+    assert not rest.converged
+    assert "force_tolerance is above all forces that act on any node" in RELAXED[rest.result]
+    assert int(rest.iterations) == 0
+    weight = G * float(scene.mass[0])
+    assert float(rest.force_scale) == pytest.approx(weight, rel=1e-3)
+
+
+def test_without_load_or_stress_there_is_nothing_to_do():
+    rest = rested(cantilever(g=0.0))
+    assert rest.converged and int(rest.iterations) == 0
+
+
+def test_a_tolerance_below_rounding_is_called_stalled():
+    rest = rested(cantilever(), force_tolerance=1e-18)
+    assert not rest.converged
+    assert "what is left is rounding" in RELAXED[rest.result]
+    assert int(rest.iterations) < 100
+    assert float(rest.max_force) < 1e-6 * G * float(cantilever().mass[0])
+
+
+def test_iterations_used_up():
+    rest = rested(cantilever(), max_iterations=3)
+    assert not rest.converged and int(rest.iterations) == 3
+    assert "max_iterations were used up; call relax again" in RELAXED[rest.result]
+
+
+def test_negative_eigenvalues_are_named():
+    scene = cantilever()
+    squeezed = jc.initial_state(scene, mesh().vertices * np.array([0.8, 1.0, 1.0]))
+    rest = relax(scene, squeezed, max_iterations=1)
+    assert not rest.converged
+    assert "the stiffness had negative eigenvalues" in RELAXED[rest.result]
+
+
+def test_forces_that_are_not_finite_are_named():
+    scene = eqx.tree_at(lambda s: s.gravity.g, cantilever(), jnp.array([0.0, 0.0, jnp.nan]))
+    rest = rested(scene)
+    assert not rest.converged
+    assert "not finite" in RELAXED[rest.result]
+
+
+def test_a_wall_that_does_not_bear_the_load_is_named():
+    floor = jc.Plane(np.array([0.0, 0.0, 1.0]), -2e-4)
+    rest = rested(cantilever(g=1e7 * G, walls=[floor]), max_iterations=100)
+    assert not rest.converged
+    assert "from passing through itself or a wall" in RELAXED[rest.result]
+    assert float(jnp.min(rest.state.x[:, 2])) >= -2e-4
+
+
+def test_inside_a_traced_function():
+    scene = cantilever()
+    state = jc.initial_state(scene, mesh().vertices)
+    inside = eqx.filter_jit(lambda scene, state: relax(scene, state))(scene, state)
+    assert inside.converged and bool(inside.result == RELAXED.converged)
+    np.testing.assert_allclose(inside.state.x, rested(scene).state.x, atol=1e-12)
