@@ -3,6 +3,7 @@
 import ctypes
 import gc
 import os
+from collections.abc import Hashable
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +26,10 @@ class _Memory:
     """What was compiled since programs were last forgotten, and the memory in use after that."""
 
     def __init__(self) -> None:
-        self.compiled: set[int] = set()
+        self.compiled: set[Hashable] = set()
         self.before: float | None = None
 
-    def crowded(self, program: int) -> bool:
+    def crowded(self, program: Hashable) -> bool:
         """Whether to forget before another `program` is compiled, which is noted."""
         used = resident()
         if used is None or program in self.compiled:
@@ -83,11 +84,11 @@ def memory() -> float:
     return machine if limit == "max" else min(machine, float(limit))
 
 
-def _signature(arguments: Any) -> int:
-    """A number that is the same for arguments that run the same compiled program."""
+def _signature(arguments: Any) -> Hashable:
+    """What is equal for arguments that run the same compiled program."""
     arrays, rest = eqx.partition(arguments, eqx.is_array)
     shapes = tuple((leaf.shape, str(leaf.dtype)) for leaf in jax.tree.leaves(arrays))
-    return hash((shapes, jax.tree.structure(arrays), repr(jax.tree.leaves(rest))))
+    return shapes, jax.tree.structure(arrays), repr(jax.tree.leaves(rest))
 
 
 def _out_of_mappings(share: float) -> bool:

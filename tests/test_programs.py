@@ -1,5 +1,7 @@
 """Compiled programs are forgotten before a process runs out of mappings, and runs do not notice."""
 
+import os
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,6 +29,70 @@ def mappings() -> int:
     return len(programs.MAPPINGS.read_bytes().splitlines())
 
 
+@pytest.fixture
+def used(monkeypatch, tmp_path, granted):
+    """A function that sets how many bytes the process seems to use, of 1 TB and mappings without end."""
+    granted(10**9)
+    monkeypatch.setattr(programs, "_memory", programs._Memory())
+    monkeypatch.setattr(programs, "memory", lambda: 1e12)
+    monkeypatch.setattr(programs, "PAGES", tmp_path / "statm")
+
+    def use(bytes_: float) -> None:
+        (tmp_path / "statm").write_text(f"999 {bytes_ / os.sysconf('SC_PAGE_SIZE'):.0f} 7\n")
+
+    use(1e9)
+    return use
+
+
+@on_linux
+def test_programs_are_forgotten_where_memory_grew_by_many_sizes(used):
+    def sizes(*counts):
+        return [programs.make_room(jnp.zeros(count)) for count in counts]
+
+    assert sizes(1) == [False]
+    used(2e9)
+    # A few are kept whatever they take, and so is one that was compiled already.
+    assert sizes(2, 3, 4, 1, 4) == [False] * 5
+    assert sizes(5) == [True]
+    # What is in use then is what growth is counted from.
+    assert sizes(6, 7, 8, 9, 10) == [False] * 5
+    used(2e9 + 1.01 * programs.GROWTH)
+    assert sizes(10, 11, 11) == [False, True, False]
+
+
+@on_linux
+def test_no_number_of_programs_is_kept_where_memory_is_short(used, monkeypatch):
+    monkeypatch.setattr(programs, "memory", lambda: 3e9)
+    assert not programs.make_room(jnp.zeros(1))
+    used(1.4e9)
+    assert not programs.make_room(jnp.zeros(2))
+    used(1.6e9)
+    assert programs.make_room(jnp.zeros(3))
+
+
+@on_linux
+def test_options_and_types_make_other_programs(used):
+    one, other = jc.integrator(1e-2, scheme="dynamic"), jc.integrator(1e-3, scheme="dynamic")
+    alike = programs._signature((one, jnp.zeros(2)))
+    assert alike == programs._signature((other, jnp.ones(2)))
+    for differs in (
+        (one, jnp.zeros(2, int)), (one, jnp.zeros(3)), (one, None),
+        (jc.integrator(1e-2, scheme="quasistatic"), jnp.zeros(2)),
+    ):  # fmt: skip
+        assert programs._signature(differs) != alike
+
+
+@on_linux
+def test_memory_is_what_the_container_grants(monkeypatch, tmp_path):
+    monkeypatch.setattr(programs, "CONTAINER", tmp_path / "memory.max")
+    machine = programs.memory()
+    (tmp_path / "memory.max").write_text("1000000\n")
+    assert programs.memory() == 1e6 < machine
+    (tmp_path / "memory.max").write_text("max\n")
+    assert programs.memory() == machine
+    assert 1e6 < programs.resident() < machine
+
+
 @on_linux
 def test_programs_are_forgotten_where_mappings_run_out(granted):
     traces = []
@@ -52,7 +118,9 @@ def test_programs_are_forgotten_where_mappings_run_out(granted):
 
 def test_nothing_is_known_elsewhere(monkeypatch, tmp_path):
     monkeypatch.setattr(programs, "MAPPINGS", tmp_path / "absent")
-    assert not programs.make_room(0.0)
+    monkeypatch.setattr(programs, "PAGES", tmp_path / "absent")
+    assert programs.resident() is None
+    assert not programs.make_room(share=0.0)
 
 
 @on_linux

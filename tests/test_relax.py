@@ -10,6 +10,7 @@ from scipy.integrate import solve_bvp
 
 import jaxcrumple as jc
 from jaxcrumple.scenes.snap import fixed
+from jaxcrumple.solvers import relax as solver
 from jaxcrumple.solvers.relax import RELAXED, relax
 
 LENGTH, WIDTH, CLAMP, G = 0.1, 0.02, 0.006, 9.81
@@ -122,12 +123,15 @@ def test_forces_that_are_not_finite_are_named():
     assert "not finite" in RELAXED[rest.result]
 
 
-def test_a_wall_that_does_not_bear_the_load_is_named():
-    floor = jc.Plane(np.array([0.0, 0.0, 1.0]), -2e-4)
-    rest = rested(cantilever(g=1e7 * G, walls=[floor]), max_iterations=100)
+def test_a_way_that_is_barred_is_named(monkeypatch):
+    monkeypatch.setattr(solver, "passes", lambda *step: jnp.asarray(True))
+    floor = jc.Plane(np.array([0.0, 0.0, 1.0]), -0.2)
+    rest = rested(cantilever(walls=[floor]))
     assert not rest.converged
-    assert "from passing through itself or a wall" in RELAXED[rest.result]
-    assert float(jnp.min(rest.state.x[:, 2])) >= -2e-4
+    assert "passes through a wall or the sheet itself" in RELAXED[rest.result]
+    # Shorter and shorter steps end where positions do not change any more.
+    assert int(rest.iterations) < 100
+    assert np.array_equal(rest.state.x, mesh().vertices)
 
 
 def test_inside_a_traced_function():
