@@ -93,6 +93,14 @@ def test_a_node_on_a_wall_and_a_wall_of_nan_are_refused(uncompiled):
         simulate(late, jc.initial_state(late, PAIR), 0.1)
 
 
+def test_one_triangle_starts_alone_and_has_no_contact():
+    mesh = jc.Mesh.from_arrays(PAIR[:3], FACES[:1])
+    scene = jc.sheet(mesh, jc.Material(yield_curvature=None))
+    check_start(scene, jc.initial_state(scene, mesh.vertices))
+    with pytest.raises(ValueError, match=r"a sheet of one triangle cannot touch itself; leave contact out"):
+        jc.sheet(mesh, jc.Material(yield_curvature=None), contact=jc.SelfContact())
+
+
 def layers(apart):
     """A strip and positions in which it goes round in a loop, and the nodes of its end lie `apart` in m above
     those of its beginning."""

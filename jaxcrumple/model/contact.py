@@ -276,7 +276,8 @@ def build_contact(
     `like`, where there is such.
 
     **Raises:** ValueError for an unknown potential, a range that is not positive or a level below 0, a range
-    that JAX traces where nothing tells the level, or sites or pairs of triangles that exceed the memory.
+    that JAX traces where nothing tells the level, a sheet of one triangle, or sites or pairs of triangles
+    that exceed the memory.
     """
     sigma = constants.sigma if options.range is None else options.range
     if options.potential not in get_args(Potential):
@@ -285,6 +286,8 @@ def build_contact(
     known = is_known(sigma)
     if known and not (_is_number(sigma) and np.isfinite(sigma) and sigma > 0):
         raise ValueError(f"contact range = {sigma!r} m must be a positive length; leave it out for h_eff.")
+    if not len(mesh.hinges):
+        raise ValueError("a sheet of one triangle cannot touch itself; leave contact out.")
     barrier = options.potential == "barrier"
     if like is None:
         if not known:
