@@ -318,7 +318,9 @@ def _checked_topology(faces: NDArray) -> NDArray:
     if parts > 1:
         sizes = np.sort(np.bincount(label))[::-1]
         listed = ", ".join(map(str, sizes[:8])) + (", ..." if parts > 8 else "")
-        raise MeshError(f"{parts} separate pieces of {listed} nodes; keep one, or merge coincident nodes")
+        raise MeshError(
+            f"{parts} separate pieces of {listed} nodes; keep one, or merge coincident nodes (merge = 0)"
+        )
     _check_fans(faces, number)
     return faces
 

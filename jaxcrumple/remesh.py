@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import SupportsIndex
 
 import numpy as np
-from matplotlib.path import Path
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, cKDTree
 
@@ -103,6 +102,9 @@ class _Outline:
             for a, b in zip(loops, following, strict=True)
         ]
         self.area = float(2 * max(areas) - sum(areas))
+        # Imported here: it takes most of a second, which no one who does not remesh need wait.
+        from matplotlib.path import Path
+
         self.paths = [Path(loop) for loop in loops]
 
     def contains(self, points: FloatArray) -> NDArray[np.bool_]:

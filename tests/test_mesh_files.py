@@ -240,6 +240,18 @@ def test_a_readers_own_reason_is_passed_on_and_no_exception_but_mesh_error_leave
     assert capsys.readouterr() == ("", "")
 
 
+@pytest.mark.parametrize("ending", [".xdmf", ".mesh", ".inp", ".vtk", ".su2"])
+def test_reads_other_formats_through_meshio(tmp_path, ending):
+    points = np.vstack([POINTS, [[0.5, 0.5, 0]]])
+    cells = [("line", [[0, 1], [1, 2]]), ("triangle", TRIANGLES[:4]), ("quad", QUADS[2:])]
+    if ending == ".su2":
+        points, cells = points[:, :2], cells[1:2] + cells[2:]
+    meshio.Mesh(points, cells).write(tmp_path / f"a{ending}")
+    mesh = Mesh.from_file(tmp_path / f"a{ending}", reorder=False)
+    assert mesh.source_nodes.tolist() == list(range(9)) and len(mesh.faces) == 8
+    np.testing.assert_allclose(mesh.vertices, POINTS, rtol=1e-7)
+
+
 def test_points_keep_what_a_sheet_does_not_need(file):
     surface = read_surface(file("a.ply", SURFACES["colours.ply"][0]))
     assert sorted(surface.data) == ["blue", "green", "red"] and len(surface.points) == 9

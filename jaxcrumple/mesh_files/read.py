@@ -32,9 +32,11 @@ def read_surface(path: str | Path) -> Surface:
         raise FileNotFoundError(f"mesh file {str(path)!r} does not exist; check the path")
     said = io.StringIO()
     try:
-        # A reader that warns has guessed: NumPy's for text ends at the first word that is no number.
+        # NumPy only warns where text ends at a word that is no number, or a number does not fit.
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), warnings.catch_warnings():
-            warnings.simplefilter("error")
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("error", RuntimeWarning)
+            warnings.filterwarnings("error", "string or file could not be read", DeprecationWarning)
             surface = _reader(path)(path)
     except MeshError:
         raise

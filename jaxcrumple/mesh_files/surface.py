@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -41,7 +42,7 @@ def surface_of(
     """
     polygons = [polygon for polygon in polygons if len(polygon) > 2]
     sizes = np.array([len(polygon) for polygon in polygons], np.int64)
-    corners = np.concatenate(polygons) if len(polygons) else np.zeros(0)
+    corners = np.fromiter(chain.from_iterable(polygons), float, sizes.sum())
     if not np.array_equal(corners, np.rint(corners)):
         raise ValueError("its faces have corners that are no whole numbers")
     return Surface(spatial(points), corners.astype(np.int64), sizes, data or {})
