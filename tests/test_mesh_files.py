@@ -86,6 +86,15 @@ def test_a_polygon_is_cut_into_triangles_that_cover_it_once(turn, flip):
     assert mesh.face_area.min() > 1e-4
 
 
+def test_a_corner_that_repeats_the_one_before_is_none():
+    points, polygons = POINTS[[0, 1, 4, 3]], [[0, 1, 2, 2], [0, 0, 2, 3, 3, 0]]
+    assert triangulated(surface_of(points, polygons)).tolist() == [[0, 1, 2], [2, 3, 0]]
+    with pytest.raises(
+        MeshError, match="face 1 with 4 corners crosses itself or has no area; remove or redraw"
+    ):
+        triangulated(surface_of(points, [[0, 1, 2], [2, 2, 3, 3]]))
+
+
 def test_polygons_keep_their_order_among_triangles():
     points = np.vstack([POINTS, ANGLE + np.array([1, 0, 0])])
     polygons = [TRIANGLES[0], range(9, 15), TRIANGLES[1], QUADS[1]]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,6 +27,7 @@ def triangulated(surface: Surface) -> IntArray:
 
     **Raises:** `MeshError` naming a polygon that crosses itself or has too many corners.
     """
+    surface = _without_repeats(surface)
     starts = np.cumsum(surface.sizes) - surface.sizes
     out = np.zeros((int((surface.sizes - 2).sum()), 3), np.int64)
     first = np.cumsum(surface.sizes - 2) - (surface.sizes - 2)
@@ -45,6 +48,19 @@ def triangulated(surface: Surface) -> IntArray:
             raise MeshError(_CROSSED.format(row, size))
         out[first[row] : first[row] + size - 2] = polygon[ears]
     return out
+
+
+def _without_repeats(surface: Surface) -> Surface:
+    """The surface without corners of polygons that repeat the one before: a triangle may come as a b c c."""
+    owner = np.repeat(np.arange(len(surface.sizes)), surface.sizes)
+    before = np.arange(len(owner)) - 1
+    before[np.cumsum(surface.sizes) - surface.sizes] = np.cumsum(surface.sizes) - 1
+    repeated = (surface.corners == surface.corners[before]) & (surface.sizes[owner] > 3)
+    sizes = surface.sizes - np.bincount(owner[repeated], minlength=len(surface.sizes))
+    bad = np.flatnonzero(sizes < 3)
+    if len(bad):
+        raise MeshError(_CROSSED.format(bad[0], surface.sizes[bad[0]]))
+    return replace(surface, corners=surface.corners[~repeated], sizes=sizes)
 
 
 def _cut(points: FloatArray, quads: IntArray, rows: IntArray) -> IntArray:

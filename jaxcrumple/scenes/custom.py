@@ -136,7 +136,8 @@ def tapered(x: FloatArray, taper: Taper) -> FloatArray:
 
 
 def _point_data(path: str, name: str) -> FloatArray:
-    data = read_surface(path).data
+    surface = read_surface(path)
+    data = {key: values for key, values in surface.data.items() if len(values) == len(surface.points)}
     if name not in data or np.ndim(data[name]) != 1:
         known = ", ".join(map(repr, data)) or "none"
         raise ValueError(f"sheet.thickness = {name!r} is not among the point data of {path}: {known}.")
