@@ -151,23 +151,6 @@ def test_a_run_that_breaks_stops_alone(tmp_path, client):
     assert np.all(jc.campaign(runs, tmp_path, cluster=client)["result"] == "success")
 
 
-def test_a_campaign_that_is_broken_off_leaves_its_table(tmp_path, client):
-    """And goes on where it was."""
-    runs = dict(list(RUNS.items())[:4])
-
-    class Stopped(BaseException):
-        pass
-
-    def stop(name, result):
-        raise Stopped
-
-    with pytest.raises(Stopped):
-        jc.campaign(runs, tmp_path, cluster=client, tell=stop)
-    table = pd.read_csv(tmp_path / "campaign.csv", index_col="run")
-    assert len(table) >= 1 and set(table.index) <= set(runs) and np.all(table["result"] == "success")
-    assert np.all(jc.campaign(runs, tmp_path, cluster=client)["result"] == "success")
-
-
 @pytest.mark.slow
 def test_a_scheduler_that_is_killed_is_told(tmp_path):
     """By the command, which exits with 1; what had ended is in the table."""

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from concurrent.futures import CancelledError
 
 import equinox as eqx
 import jax
@@ -13,7 +12,7 @@ import pytest
 import xarray as xr
 
 import jaxcrumple as jc
-from jaxcrumple.sweep import cluster, lanes
+from jaxcrumple.sweep import lanes
 from jaxcrumple.sweep.cluster import connected
 
 LOADS, TIMES = (0.3, 0.1, 0.2), (5e-4, 1e-3)
@@ -257,25 +256,6 @@ def test_a_worker_refuses_a_case_before_any_runs(client):
 def test_cases_whose_time_is_up_stop_alone(client):
     table = batch(max_seconds=0.0, backend="processes", cluster=client)
     assert np.all(table.result == "budget") and np.all(table.t_reached == 0.0)
-
-
-def test_cases_of_a_lost_scheduler_are_errors(monkeypatch, client):
-    """And what had ended is in the table."""
-
-    def lost(*_):
-        raise CancelledError
-
-    def tell(name, result):
-        told.append((name, result))
-        monkeypatch.setattr(cluster, "wait", lost)
-
-    told = []
-    table = batch(backend="processes", cluster=client, tell=tell)
-    results = sorted(table.result.values.tolist())
-    assert results in (["error", "error", "success"], ["error", "success", "success"])
-    assert sorted(result for _, result in told) == results
-    messages = table.message.values[table.result.values == "error"]
-    assert all(m.startswith("WorkersLostError: the scheduler of the worker") for m in messages)
 
 
 @pytest.mark.slow

@@ -55,18 +55,6 @@ def test_a_limit_of_wall_time_is_read(file):
     assert read_sweep(file).max_seconds == 1800.0
 
 
-def test_a_campaign_whose_time_is_up_goes_on_later(file, tmp_path):
-    """The option replaces what the file says; each run is saved as far as it came."""
-    file.write_text(FILE.replace("frames = 2", 'frames = 2\nmax_seconds = "1 hour"'))
-    arguments = ["campaign", str(file), "--out", str(tmp_path / "runs")]
-    for limit, code, result in ((["--max-seconds", "0 s"], 1, "budget"), ([], 0, "success")):
-        found = CliRunner().invoke(app, [*arguments, *limit], catch_exceptions=False)
-        assert found.exit_code == code, found.output
-        table = pd.read_csv(tmp_path / "runs" / "campaign.csv", index_col="run")
-        assert table["result"].tolist() == [result] * 2
-    assert table["t_reached"].tolist() == [1e-4] * 2
-
-
 def test_the_command_writes_a_table_and_overwrites_none(file):
     arguments = ["sweep", str(file), "--backend", "batch"]
     result = CliRunner().invoke(app, arguments, catch_exceptions=False)
