@@ -81,7 +81,7 @@ def test_new_numbers_do_not_compile_again(monkeypatch, tmp_path):
     monkeypatch.setattr(importlib.import_module("jaxcrumple.simulate"), "_integrate", counted)
     scene = setup().scene
     first = simulate(scene, start(), SNAP_END, solver=solver())
-    # After the one that compiles come several calls: the first is short, and none exceeds its budget.
+    # After the one that compiles the run takes several calls: the first is short, none exceeds its budget.
     assert calls[0] == (0.0, 0) and calls[1][0] < SNAP_END == calls[-1][0]
     assert 0 < max(spent for _, spent in calls) < BUDGET + IMPLICIT_COST
     other = radial(

@@ -260,6 +260,23 @@ def test_conjugate_gradients_give_nan_where_they_cannot_solve(solver):
     assert np.all(np.isnan(linear_solve(hasty, pattern, values, rhs)))
 
 
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_factor_solves_for_its_own_values_without_being_given_them(solver):
+    pattern, values, rhs = crumpled()
+
+    @eqx.filter_jit
+    def both(values, rhs):
+        factor = solver.factor(pattern, values, solver.start(pattern))
+        own = solver.solve(pattern, factor, None, rhs, 1e-10)
+        # Equal numbers are not the same array: this goes by conjugate gradients.
+        return own, solver.solve(pattern, factor, factor.values + 0.0, rhs, 1e-10)
+
+    own, given = both(values, rhs)
+    size = float(jnp.linalg.norm(given.x))
+    assert 0 < size and float(jnp.linalg.norm(own.x - given.x)) < 1e-6 * size
+    assert int(own.iterations) == 1 if solver.exact else own.iterations == given.iterations
+
+
 @needs_direct
 def test_a_factor_is_given_back():
     from pardiso_mkl_jax.primitive import RebuildReason, rebuild_stats
