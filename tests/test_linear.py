@@ -273,7 +273,7 @@ def test_a_factor_solves_for_its_own_values_without_being_given_them(solver):
 
     own, given = both(values, rhs)
     size = float(jnp.linalg.norm(given.x))
-    assert 0 < size and float(jnp.linalg.norm(own.x - given.x)) < 1e-6 * size
+    assert size > 0 and float(jnp.linalg.norm(own.x - given.x)) < 1e-6 * size
     assert int(own.iterations) == 1 if solver.exact else own.iterations == given.iterations
 
 

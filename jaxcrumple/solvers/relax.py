@@ -286,7 +286,7 @@ def _relax(
             soften,
             factor,
             carry.iterations + 1,
-            _rounding(x, jnp.max(values[scene.pattern.diagonal])),
+            _rounding(x, jnp.max(values[scene.pattern.diagonal] - jnp.repeat(carry.shift * scene.mass, 3))),
             carry.moved | keep,
             held_up,
             lost & ~keep & ~indefinite,

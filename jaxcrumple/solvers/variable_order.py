@@ -29,6 +29,9 @@ from jaxcrumple.system import residual
 ORDER_GAIN = 1.1
 # From the largest component of a difference to its length.
 DIAGONAL = 3.0**0.5
+# Newton's iterate comes from an extrapolation, and what is left of the way from there feeds energy in. With
+# rho_infinity > 0, whose formula loses little of it or none, Newton's error is this much smaller.
+CONSERVING = 1e-3
 # Steps with inertia whose errors may add up before each must leave less, and the most that are allowed for.
 REMEMBERED, MOST_REMEMBERED = 500.0, 1e4
 # Local error in contact ranges that a step may leave at most: contact grows e-fold within a few hundredths,
@@ -46,7 +49,8 @@ class VariableOrder(AbstractImplicit):
     - `rtol`: tolerance on the local error in maximum norm: positions over $\\sqrt A$, p over 2.
     - `linear`: the linear solver.
     - `rho_infinity`: what a step with inertia leaves of a mode of infinite frequency, 0 (BDF2) to 1
-      (the midpoint rule, which leaves all).
+      (the midpoint rule, which leaves all). Above 0 Newton's error is CONSERVING times smaller, for it would
+      feed in more energy than the formula loses.
     - `inertial_share`: share of `rtol` that the local error of a step with inertia may use; less where
       drag forgets so slowly that more than `REMEMBERED` steps add up.
     - `newton_share`: Newton's error as a share of what a step may leave.
@@ -83,7 +87,7 @@ class VariableOrder(AbstractImplicit):
         theta, step, order = formula.theta, formula.step, formula.orders.used
         predicted = _predicted(scene, state, h, order)
         guess = _start(formula, state, predicted)
-        tolerance = self.newton_share * self._allowed(scene, state, h) * scene.length_scale
+        tolerance = self._newton_share(state) * self._allowed(scene, state, h) * scene.length_scale
         kept = state.kept if self.inertia else None
         solution = newton(scene, step, guess, self.linear, factor, tolerance, self.max_iterations, kept, held)
         mean_v = step.velocity(solution.x)
@@ -100,6 +104,13 @@ class VariableOrder(AbstractImplicit):
             solution.factor, solution.kept or state.kept, solution.iterations, solution.linear,
             solution.factors, solution.restored,
         )  # fmt: skip
+
+    def _newton_share(self, state: State) -> Array:
+        """`newton_share`, less where the formula is to conserve energy."""
+        if not self.inertia:
+            return self.newton_share
+        conserves = (state.stage == IMPLICIT) & (self.rho_infinity > 0)
+        return jnp.where(conserves, CONSERVING * self.newton_share, self.newton_share)
 
     def _formula(self, scene: Scene, state: State, h: Array) -> "_Formula":
         orders = self._orders(scene, state, h)

@@ -43,9 +43,9 @@ def run_batch(
         raise ValueError(
             "the direct solver takes one sheet at a time; take linear='two-level', or backend='processes'."
         )
-    make_room("batch", cases)
     with limited_blas():
         batch = _Batch(cases, times, limits, devices)
+        make_room(len(cases), batch.setups[0].scene, cases[0].solver)
         frames = [Frames(measure, setup) for setup in batch.setups]
         while np.any(batch.going):
             batch.advance()
