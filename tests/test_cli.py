@@ -30,7 +30,7 @@ CONFIG = configure("radial", nodes=60, t_end=0.02, settings=SETTINGS)
 def command(*arguments):
     """The program in a process of its own, as a user starts it."""
     program = [sys.executable, "-c", "from jaxcrumple.cli import main; main()"]
-    return subprocess.run([*program, *map(str, arguments)], capture_output=True, text=True, timeout=300)
+    return subprocess.run([*program, *map(str, arguments)], capture_output=True, text=True, timeout=1800)
 
 
 @pytest.fixture
