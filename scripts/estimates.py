@@ -3,7 +3,7 @@
 Each run and each build is a process of its own, whose programs are compiled without a cache. Large sheets are
 built and not run.
 
-    python scripts/estimates.py [--nodes N ...] [--built N ...] [--t-end S] [--resume] [--json FILE]
+    python scripts/estimates.py [--nodes N ...] [--built N ...] [--contacts C ...] [--t-end S] [--resume]
 """
 
 import argparse
@@ -32,6 +32,7 @@ def main() -> None:
     """Measure what is missing, and write the table."""
     parser = options(__doc__, NODES, resumable=True)
     parser.add_argument("--built", type=int, nargs="*", default=BUILT)
+    parser.add_argument("--contacts", nargs="+", default=CONTACTS)
     parser.add_argument("--t-end", type=float, default=T_END)
     parser.add_argument("--one", nargs=3, metavar=("KIND", "NODES", "CONTACT"), help=argparse.SUPPRESS)
     opts = parser.parse_args()
@@ -44,7 +45,7 @@ def main() -> None:
     sizes = [("run", n) for n in opts.nodes] + [("build", n) for n in opts.built]
     cases = [
         {"kind": kind, "nodes": n, "contact": contact, "t_end": opts.t_end}
-        for contact in CONTACTS
+        for contact in opts.contacts
         for kind, n in sizes
     ]
     results = [log.result(case, lambda case=case: alone(case)) for case in cases]
@@ -96,11 +97,13 @@ def tables(results: list[dict]) -> str:
         cells = [between(*guess.memory, 1e-9), memory, between(*seconds), f"{result['cpu_s']:.0f}"]
         rows.append((n, contact, *cells))
     header = ["n", "contact", "memory in GB: estimate", "run", "CPU s with compiling: estimate", "run"]
-    return (
+    what = (
         f"`radial` to t = {results[0]['t_end']:g} s, rtol 0.01, each in a process of its own, without a "
-        f"cache of programs.\n\n{markdown(header, rows)}\n\nSheets that are built and not run, {SWEEPS} "
-        f"Lloyd sweep.\n\n{markdown(['n', 'contact', 'memory in GB', 'CPU s'], builds)}"
+        "cache of programs, on a machine with other work."
     )
+    large = f"Sheets that are built and not run, {SWEEPS} Lloyd sweep."
+    built_header = ["n", "contact", "memory in GB", "CPU s"]
+    return f"{what}\n\n{markdown(header, rows)}\n\n{large}\n\n{markdown(built_header, builds)}"
 
 
 def between(least: float, most: float, unit: float = 1.0) -> str:
