@@ -43,6 +43,10 @@ class Stopped(BaseException):
         self.number = number
 
 
+class Hint(str):
+    """A note on an exception that says how to go on; libraries add notes of their own."""
+
+
 class OutputLostError(Exception):
     """Standard output that takes no more; not OSError, for the same reason."""
 
@@ -65,7 +69,7 @@ def noted(words: Callable[[], str]) -> Iterator[None]:
     except (ValueError, typer.Exit):
         raise
     except BaseException as error:
-        error.add_note(words())
+        error.add_note(Hint(words()))
         raise
 
 
@@ -125,7 +129,8 @@ def _told(error: BaseException) -> int:
         _complain("".join(traceback.format_exception(error)).rstrip(), lines=True)
     # A traceback has the notes already.
     notes = [] if code == BUG else getattr(error, "__notes__", [])
-    words = "; ".join(part for part in (text, *notes) if part)
+    hints = [note for note in notes if isinstance(note, Hint)]
+    words = "; ".join(part for part in (text, *hints) if part)
     if words:
         _complain(words, style="yellow" if isinstance(error, Stopped) else "red")
     return code

@@ -218,7 +218,9 @@ def test_only_what_is_no_refusal_has_a_note(ended):
 
     assert ended(lambda: program(ValueError("x")))[0] == 70
     assert ended(lambda: program(jc.ConfigError("x"))) == (2, "error: x\n")
-    assert ended(lambda: program(WorkersLostError("x."))) == (1, "error: x.; go on\n")
+    error = WorkersLostError("x.")
+    error.add_note("a library's own")
+    assert ended(lambda: program(error)) == (1, "error: x.; go on\n")
 
 
 def test_a_limit_that_is_no_time_is_refused(ended):
