@@ -68,6 +68,10 @@ class RELAXED(eqx.Enumeration):  # type: ignore[misc]
     )
 
 
+# To a type checker the members of an Enumeration are the texts they are made from.
+_WHY: Any = RELAXED
+
+
 class Relaxed(NamedTuple):
     """Outcome of `relax`.
 
@@ -164,7 +168,7 @@ def _relax_apart(scene: Scene, state: State, tolerance: Array | None, solver, le
     while True:
         outcome, shift = _relax(scene, state, tolerance, solver, left, shift)
         left, state = left - outcome.iterations, outcome.state
-        if not bool(outcome.result == RELAXED.reach) or left <= 0:
+        if not bool(outcome.result == _WHY.reach) or left <= 0:
             return outcome._replace(iterations=most - left)
         scene = renewal.first(scene, state)
 
@@ -277,9 +281,9 @@ def _relax(
         grown = jnp.where(held_up | soften, carry.shift, GROW * carry.shift)
         shrunk = carry.shift * jnp.clip(turn / AIM, SHRINK, 1.0)
         lost = jnp.max(jnp.abs(x - old.x)) <= 4.0 * jnp.finfo(x.dtype).eps * jnp.max(jnp.abs(x))
-        why: Any = RELAXED.where(finite, RELAXED.stalled, RELAXED.nonfinite)
-        why = RELAXED.where(through, RELAXED.blocked, why)
-        why = RELAXED.where(indefinite, RELAXED.unstable, why)
+        why = _WHY.where(finite, _WHY.stalled, _WHY.nonfinite)
+        why = _WHY.where(through, _WHY.blocked, why)
+        why = _WHY.where(indefinite, _WHY.unstable, why)
         return _Carry(
             jax.tree.map(lambda a, b: jnp.where(keep, a, b), new, old),
             jnp.where(keep, jnp.maximum(shrunk, SHIFT_FLOOR * top), grown),
@@ -290,7 +294,7 @@ def _relax(
             carry.moved | keep,
             held_up,
             lost & ~keep & ~indefinite,
-            RELAXED.where(keep, RELAXED.budget, why),
+            _WHY.where(keep, _WHY.budget, why),
         )
 
     def unfinished(carry: _Carry) -> Array:
@@ -300,7 +304,7 @@ def _relax(
     no, point = jnp.asarray(False), _point(scene, state, state.x)
     start = _Carry(
         point, shift, no, linear.start(scene.pattern), jnp.asarray(0),
-        _rounding(state.x, VALENCE * jnp.max(scene.membrane.stiffness)), no, no, no, RELAXED.budget,
+        _rounding(state.x, VALENCE * jnp.max(scene.membrane.stiffness)), no, no, no, _WHY.budget,
     )  # fmt: skip
     idle = no
     if given is not None:
@@ -316,11 +320,11 @@ def _relax(
     converged = (left <= tolerance(end)) & ~idle
     # What forbade the last step explains only an end that it brought about.
     stopped = end.over | (end.iterations >= max_iterations)
-    named = (end.why == RELAXED.unstable) | (end.why == RELAXED.blocked)
-    result: Any = RELAXED.where(end.over | named, end.why, RELAXED.budget)
-    result = RELAXED.where(stopped, result, RELAXED.reach)
-    result = RELAXED.where(jnp.isfinite(left), result, RELAXED.nonfinite)
-    result = RELAXED.where(idle, RELAXED.loose, result)
-    result = RELAXED.where(converged, RELAXED.converged, result)
+    named = (end.why == _WHY.unstable) | (end.why == _WHY.blocked)
+    result = _WHY.where(end.over | named, end.why, _WHY.budget)
+    result = _WHY.where(stopped, result, _WHY.reach)
+    result = _WHY.where(jnp.isfinite(left), result, _WHY.nonfinite)
+    result = _WHY.where(idle, _WHY.loose, result)
+    result = _WHY.where(converged, _WHY.converged, result)
     outcome = Relaxed(rested, converged, end.iterations, left, last.negative, result, end.point.scale)
     return outcome, end.shift
