@@ -178,7 +178,10 @@ def plain():
             r"^state has type ndarray; it must be what initial_state makes",
         ),
         (lambda s, a: jc.simulate(s, a, 0.1, max_attempts=-1), r"^max_attempts = -1 must be zero or more"),
-        (lambda s, a: jc.simulate(s, a, 0.1, max_seconds=np.nan), r"^max_seconds = nan must be zero or more"),
+        (
+            lambda s, a: jc.simulate(s, a, 0.1, max_seconds=np.nan),
+            r"^max_seconds = nan must be a wall time in s",
+        ),
         (lambda s, a: jc.simulate(s, a, 0.1, first_frame=0.5), r"^first_frame = 0\.5 must be a whole number"),
         (
             lambda s, a: jc.integrate(s, a, 0.1, "hybrid"),

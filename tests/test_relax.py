@@ -110,15 +110,17 @@ def test_iterations_used_up():
 
 def test_negative_eigenvalues_are_named():
     scene = cantilever()
-    squeezed = jc.initial_state(scene, mesh().vertices * np.array([0.8, 1.0, 1.0]))
-    rest = relax(scene, squeezed, max_iterations=1)
+    squeezed = scene.prescribed.position(mesh().vertices * np.array([0.8, 1.0, 1.0]), jnp.zeros(()))
+    rest = relax(scene, jc.initial_state(scene, squeezed), max_iterations=1)
     assert not rest.converged
     assert "the stiffness had negative eigenvalues" in RELAXED[rest.result]
 
 
 def test_forces_that_are_not_finite_are_named():
-    scene = eqx.tree_at(lambda s: s.gravity.g, cantilever(), jnp.array([0.0, 0.0, jnp.nan]))
-    rest = rested(scene)
+    # A slope of sqrt at 0.
+    last = mesh().n_nodes - 1
+    spoilt = jc.ElementEnergy([[last]], lambda x, parameters, t: jnp.sqrt(x[0] @ jnp.array([0.0, 0.0, 1.0])))
+    rest = rested(cantilever(extra=[spoilt]))
     assert not rest.converged
     assert "not finite" in RELAXED[rest.result]
 
