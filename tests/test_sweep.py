@@ -115,6 +115,7 @@ def test_a_limit_of_wall_time_ends_lanes(swept):
     del swept  # It has compiled the program.
     table = batch(max_seconds=0.0)
     assert np.all(table.result == "budget") and np.all(table.t_reached < TIMES[-1])
+    assert np.all(np.isfinite(table.height.isel(time=0))) and np.all(np.isnan(table.height.isel(time=1)))
 
 
 @pytest.fixture(scope="module")

@@ -99,6 +99,9 @@ class _Batch:
 
     def advance(self) -> None:
         """One call of the program for all lanes that are going; new lists where they stopped for one."""
+        if self.start and time.perf_counter() - self.start > self.limits.seconds:
+            self._end(self.going, RESULTS.budget)
+            return
         made = self._attempts()
         stops = np.where(self.going, self._due, -np.inf)
         left = self.limits.attempts - made
@@ -112,8 +115,6 @@ class _Batch:
         self._end(unfinished & (self.limits.attempts <= self._attempts()), RESULTS.budget)
         # The first call compiles, which does not count.
         self.start = self.start or time.perf_counter()
-        if time.perf_counter() - self.start > self.limits.seconds:
-            self._end(unfinished, RESULTS.budget)
         self._end(self.waits > MOST_WAITS, RESULTS.collapsed)
         listing = self.states.listing
         if listing is not None and np.any(np.asarray(listing.needed)):
