@@ -1,6 +1,7 @@
 """Sweeps and campaigns that are broken off, lose their workers, or whose time is up: what is kept."""
 
 import json
+import logging
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
 
@@ -56,6 +57,14 @@ def test_other_errors_stay_what_they_are():
     with pytest.raises(RuntimeError, match=r"^other$") as caught, cluster._lost_workers_named():
         raise RuntimeError("other")
     assert not isinstance(caught.value, WorkersLostError)
+
+
+def test_dask_logs_nothing_where_a_scheduler_is_lost():
+    logger = logging.getLogger("distributed.client")
+    level = logger.level
+    with cluster._quiet():
+        assert not logger.isEnabledFor(logging.ERROR)
+    assert logger.level == level and logger.isEnabledFor(logging.ERROR)
 
 
 class Client:

@@ -67,7 +67,7 @@ def connected(cluster: Cluster, most: int) -> Iterator[Client]:
         with _lost_workers_named():
             yield cluster
     elif cluster is not None:
-        with _lost_workers_named(), _client(cluster) as client:
+        with _quiet(), _lost_workers_named(), _client(cluster) as client:
             yield client
     else:
         cores = _cores()
@@ -81,6 +81,20 @@ def local_workers(cluster: Cluster, most: int) -> int:
     """How many workers share this machine's memory, as `connected` starts them: one where a cluster is given,
     whose machines are not known."""
     return 1 if cluster is not None else min(len(_cores()), most)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Silence Dask's loggers inside: a scheduler that is lost is raised, and needs no traceback beside."""
+    names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] == "distributed"]
+    levels = {name: logging.getLogger(name).level for name in names}
+    for name in names:
+        logging.getLogger(name).setLevel(_QUIET)
+    try:
+        yield
+    finally:
+        for name, level in levels.items():
+            logging.getLogger(name).setLevel(level)
 
 
 @contextmanager
