@@ -85,7 +85,8 @@ def force_terms(scene: Scene, x: Array, p: Array | None, t: Array) -> list[Array
     bending = scene.bending.force(scene.bending.hinges(x), scene.rest_curvature(p), x.shape[0])
     terms = [scene.membrane.force(x), bending]
     terms += [] if scene.contact is None else [scene.contact.force(x)]
-    terms += [wall.force(x, t) for wall in scene.walls] + [term.force(x, t) for term in scene.extra]
+    terms += [wall.force(x, t) for wall in scene.walls]
+    terms += [term.force(x, t) for term in scene.extra]
     return terms if scene.gravity is None else [*terms, scene.gravity.force()]
 
 

@@ -21,12 +21,12 @@ def mesh():
     return jc.rectangle(LENGTH, WIDTH, 300, seed=1)
 
 
-def cantilever(g=G, soft=1.0, walls=()):
+def cantilever(g=G, soft=1.0, **more):
     """A strip 0.1 mm thick, clamped at one end, under gravity; `soft` scales its stiffness and density."""
     x = mesh().vertices
     material = jc.Material(thickness=1e-4, young_modulus=1e9 * soft, density=1e3 * soft, yield_curvature=None)
     clamp = x[:, 0] < x[:, 0].min() + CLAMP
-    return jc.sheet(mesh(), material, gravity=(0.0, 0.0, -g), prescribed=fixed(clamp, x), walls=walls)
+    return jc.sheet(mesh(), material, gravity=(0.0, 0.0, -g), prescribed=fixed(clamp, x), **more)
 
 
 def rested(scene, **options):

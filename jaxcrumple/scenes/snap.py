@@ -1,7 +1,7 @@
 """What the snap-through scenes share: supports, material, and the energy that a snap sets free."""
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from jaxcrumple.model.loads import LinearMotion, Prescribed
 from jaxcrumple.model.scene import Scene
 from jaxcrumple.renewal import with_contacts
 from jaxcrumple.scenes.setup import Setup
-from jaxcrumple.solvers.relax import RELAXED, Relaxed, relax
+from jaxcrumple.solvers.relax import Relaxed, relax
 from jaxcrumple.state import State, check_state, initial_state
 from jaxcrumple.system import energies
 
@@ -91,10 +91,9 @@ def _rest(scene: Scene, state: State, t: ArrayLike, force_tolerance: float | Non
     moved = eqx.tree_at(lambda s: (s.t, s.x), state, (t, x))
     rest = relax(scene, moved, force_tolerance=force_tolerance)
     if not rest.converged:
-        reasons: Any = RELAXED
         raise ValueError(
             f"no equilibrium found at t = {float(t):.4g} s: {float(rest.max_force):.2g} N are left on a node "
-            f"after {int(rest.iterations)} iterations ({reasons[rest.result]}); choose a time away from the "
+            f"after {int(rest.iterations)} iterations ({rest.reason}); choose a time away from the "
             "limit point."
         )
     return rest

@@ -68,7 +68,7 @@ class RELAXED(eqx.Enumeration):  # type: ignore[misc]
     )
 
 
-# To a type checker the members of an Enumeration are the texts they are made from.
+# The same for type checkers, to whom the members are strings.
 _WHY: Any = RELAXED
 
 
@@ -77,7 +77,7 @@ class Relaxed(NamedTuple):
 
     `state` at rest (v = 0); `converged`; `iterations`: tangents factored; `max_force` in N left on a free
     node; `negative` eigenvalues of the last stiffness: above 0 the equilibrium is unstable, -1 unknown;
-    `result`: why it stopped, a member of `RELAXED`, whose text is `RELAXED[result]`; `force_scale` in N: the
+    `result`: why it stopped, a member of `RELAXED`, in words `reason`; `force_scale` in N: the
     largest sum of the magnitudes of all forces on a node, which the default tolerance is relative to.
     """
 
@@ -88,6 +88,11 @@ class Relaxed(NamedTuple):
     negative: Array
     result: RELAXED
     force_scale: Array
+
+    @property
+    def reason(self) -> str:
+        """Why it stopped, in words."""
+        return _WHY[self.result]
 
 
 class _Point(NamedTuple):
