@@ -27,13 +27,13 @@ def height(rate):
     return -G / rate * TIMES + G / rate**2 * (1.0 - np.exp(-rate * TIMES))
 
 
-def setup(values):
+def sheet_of(values):
     scene = made_of(values["rate"], LIKE)
     return scene, jc.initial_state(scene, MESH.vertices)
 
 
 def experiment(data):
-    return Experiment(setup, TIMES, lambda frames: (jnp.mean(frames.x[:, :, 2], axis=1) - data) / NOISE)
+    return Experiment(sheet_of, TIMES, lambda frames: (jnp.mean(frames.x[:, :, 2], axis=1) - data) / NOISE)
 
 
 DATA = experiment(height(RATE) + NOISE * np.random.default_rng(0).normal(size=len(TIMES)))
@@ -46,7 +46,7 @@ def falling(experiment=DATA, rtol_of_runs=1e-6, **options):
 
 
 def other_setup(values):
-    scene, state = setup(values)
+    scene, state = sheet_of(values)
     return eqx.tree_at(lambda s: s.gravity.g, scene, scene.gravity.g * 1.001), state
 
 
@@ -78,7 +78,7 @@ def test_an_optimiser_finds_the_same(found):
 def test_a_bracket_finds_a_root_without_derivatives():
     """The drag for which the sheet has fallen so far at the end, from far above it."""
     end = height(RATE)[-1]
-    run = Experiment(setup, TIMES, lambda frames: (jnp.mean(frames.x[-1:, :, 2], axis=1) - end) / NOISE)
+    run = Experiment(sheet_of, TIMES, lambda frames: (jnp.mean(frames.x[-1:, :, 2], axis=1) - end) / NOISE)
     solver = jc.integrator(1e-6, scheme="dynamic")
     found = fit(run, {"rate": Parameter(400.0, 20.0, 2000.0)}, method="root", solver=solver, rtol=1e-6)
     assert found.success
@@ -112,7 +112,7 @@ def test_a_fit_goes_on_from_its_file_to_the_same_answer(found, tmp_path):
     path.write_bytes(kept)
     with pytest.raises(ValueError, match="holds a fit of rate, not of other"):
         fit(
-            DATA._replace(setup=lambda values: setup({"rate": values["other"]})),
+            DATA._replace(setup=lambda values: sheet_of({"rate": values["other"]})),
             {"other": Parameter(1.0, 0.5, 2.0)},
             checkpoint=path,
         )
@@ -136,7 +136,7 @@ def barred(side):
     """An experiment whose runs fail where `side` of the drag is negative."""
 
     def broken(values):
-        scene, state = setup(values)
+        scene, state = sheet_of(values)
         stiffness = scene.membrane.stiffness * jnp.where(side(values["rate"]) < 0.0, jnp.nan, 1.0)
         return eqx.tree_at(lambda s: s.membrane.stiffness, scene, stiffness), state
 
@@ -200,11 +200,11 @@ def test_bad_parameters_are_refused():
         ({"experiment": {}}, "must be an Experiment"),
         ({"experiment": DATA._replace(setup=lambda values: LIKE)}, "a scene and a state, .* not Scene"),
         (
-            {"experiment": DATA._replace(setup=lambda values: setup({"rate": values["r"]}))},
+            {"experiment": DATA._replace(setup=lambda values: sheet_of({"rate": values["r"]}))},
             "asks for 'r', which",
         ),
         (
-            {"experiment": DATA._replace(setup=lambda values: setup({"rate": float(values["rate"])}))},
+            {"experiment": DATA._replace(setup=lambda values: sheet_of({"rate": float(values["rate"])}))},
             "build the scene by Setup.made_of",
         ),
         (
@@ -268,7 +268,7 @@ def test_uncertainties_of_what_residuals_do_not_determine_are_infinite():
     """The fall's one height tells drag or gravity, not both."""
 
     def run(values):
-        scene, state = setup(values)
+        scene, state = sheet_of(values)
         return eqx.tree_at(lambda s: s.gravity.g, scene, scene.gravity.g * values["weight"]), state
 
     end = height(RATE)[-1:]
