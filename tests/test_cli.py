@@ -383,7 +383,7 @@ def small_disk(tmp_path):
 
 
 # Too little for the first checkpoint, for its replacement beside it, and for the rows that follow.
-@pytest.mark.parametrize("free", [40_000, 80_000, 100_000])
+@pytest.mark.parametrize("free", [140_000, 200_000, 260_000])
 def test_a_full_disk_ends_the_run_and_spoils_nothing(small_disk, finished, free):
     (small_disk / "other").write_bytes(bytes(2 * 2**20 - free))
     folder = small_disk / "run"
