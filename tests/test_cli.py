@@ -304,7 +304,7 @@ def test_a_damaged_run_is_told_and_repaired(copy, monkeypatch, capsys):
     code, text = call("repair", copy)
     assert (
         code == 0
-        and f"is at t = 0.02 s again; go on with: jaxcrumple run radial --resume --out {copy}" in text
+        and f"is at t = 0.01 s again; go on with: jaxcrumple run radial --resume --out {copy}" in text
     )
     assert RunDirectory.open(copy).counts.frames == 2
     assert resume_run(copy)["result"] == "success"
