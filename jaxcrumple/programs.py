@@ -2,18 +2,18 @@
 
 import ctypes
 import gc
-import os
 from collections.abc import Hashable
 from pathlib import Path
 from typing import Any
 
 import equinox as eqx
 import jax
+import psutil
 
-# Where Linux lists the mappings of this process, how many it may have, how many pages of memory it uses, and
-# how many bytes its container may have.
+from jaxcrumple.memory import memory_limit
+
+# Where Linux lists the mappings of this process, and how many it may have.
 MAPPINGS, LIMIT = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
-PAGES, CONTAINER = Path("/proc/self/statm"), Path("/sys/fs/cgroup/memory.max")
 # Share of the mappings from which on programs are forgotten: what is left is enough for several more.
 SHARE = 0.6
 # Programs are kept for FEW scenes of other sizes, and while memory has grown by less than GROWTH bytes since
@@ -31,11 +31,11 @@ class _Memory:
 
     def crowded(self, program: Hashable) -> bool:
         """Whether to forget before another `program` is compiled, which is noted."""
-        used = resident()
-        if used is None or program in self.compiled:
+        if program in self.compiled:
             return False
+        used = resident()
         self.before = used if self.before is None else min(self.before, used)
-        many = len(self.compiled) >= FEW or used > MOST * memory()
+        many = len(self.compiled) >= FEW or used > MOST * memory_limit()
         return bool(self.compiled) and many and used - self.before > GROWTH
 
     def forgotten(self) -> None:
@@ -52,7 +52,7 @@ def make_room(*arguments: Any, share: float = SHARE) -> bool:
     not come again. One of a phantom sheet takes 0.1 GB, with contact 1 GB. XLA maps each kernel of a program
     by itself: a run with contact takes 4300 of the 65 530 that Linux grants by default, and where LLVM gets
     no more it ends the process. What is needed again is compiled again, or read from the persistent cache.
-    Elsewhere than on Linux nothing is known, and nothing done.
+    Elsewhere than on Linux nothing is known of mappings.
 
     **Arguments:** `arguments` with which a program is called next. One that was called with such since
     programs were last forgotten needs no more memory, and none is made. `share` of the mappings that may be
@@ -70,18 +70,9 @@ def make_room(*arguments: Any, share: float = SHARE) -> bool:
     return crowded
 
 
-def resident() -> float | None:
-    """Memory in bytes that this process has in use, or None where that is not known."""
-    if not PAGES.exists():
-        return None
-    return int(PAGES.read_text().split()[1]) * float(os.sysconf("SC_PAGE_SIZE"))
-
-
-def memory() -> float:
-    """Memory in bytes that the machine has, or its container may have."""
-    machine = float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
-    limit = CONTAINER.read_text().strip() if CONTAINER.exists() else "max"
-    return machine if limit == "max" else min(machine, float(limit))
+def resident() -> float:
+    """Memory in bytes that this process has in use."""
+    return float(psutil.Process().memory_info().rss)
 
 
 def _signature(arguments: Any) -> Hashable:

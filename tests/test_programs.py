@@ -1,7 +1,5 @@
 """Compiled programs are forgotten before a process runs out of mappings, and runs do not notice."""
 
-import os
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -30,15 +28,14 @@ def mappings() -> int:
 
 
 @pytest.fixture
-def used(monkeypatch, tmp_path, granted):
+def used(monkeypatch, granted):
     """A function that sets how many bytes the process seems to use, of 1 TB and mappings without end."""
     granted(10**9)
     monkeypatch.setattr(programs, "_memory", programs._Memory())
-    monkeypatch.setattr(programs, "memory", lambda: 1e12)
-    monkeypatch.setattr(programs, "PAGES", tmp_path / "statm")
+    monkeypatch.setattr(programs, "memory_limit", lambda: 1e12)
 
     def use(bytes_: float) -> None:
-        (tmp_path / "statm").write_text(f"999 {bytes_ / os.sysconf('SC_PAGE_SIZE'):.0f} 7\n")
+        monkeypatch.setattr(programs, "resident", lambda: bytes_)
 
     use(1e9)
     return use
@@ -62,7 +59,7 @@ def test_programs_are_forgotten_where_memory_grew_by_many_sizes(used):
 
 @on_linux
 def test_no_number_of_programs_is_kept_where_memory_is_short(used, monkeypatch):
-    monkeypatch.setattr(programs, "memory", lambda: 3e9)
+    monkeypatch.setattr(programs, "memory_limit", lambda: 3e9)
     assert not programs.make_room(jnp.zeros(1))
     used(1.4e9)
     assert not programs.make_room(jnp.zeros(2))
@@ -80,17 +77,6 @@ def test_options_and_types_make_other_programs(used):
         (jc.integrator(1e-2, scheme="quasistatic"), jnp.zeros(2)),
     ):  # fmt: skip
         assert programs._signature(differs) != alike
-
-
-@on_linux
-def test_memory_is_what_the_container_grants(monkeypatch, tmp_path):
-    monkeypatch.setattr(programs, "CONTAINER", tmp_path / "memory.max")
-    machine = programs.memory()
-    (tmp_path / "memory.max").write_text("1000000\n")
-    assert programs.memory() == 1e6 < machine
-    (tmp_path / "memory.max").write_text("max\n")
-    assert programs.memory() == machine
-    assert 1e6 < programs.resident() < machine
 
 
 @on_linux
