@@ -110,15 +110,17 @@ def run(
 
 def _seconds(limit: str | None) -> float | None:
     """Wall time in s of an option."""
-    from jaxcrumple.simulate import checked_limit
+    from jaxcrumple.model.fields import require_limit
     from jaxcrumple.units import TIME
 
     try:
-        return None if limit is None else checked_limit(float(TIME.si(limit)))
+        seconds = None if limit is None else float(TIME.si(limit))
+        require_limit("max_seconds", seconds)
     except ValueError as error:
         raise ValueError(
             f"--max-seconds = {limit!r} is no wall time; give one such as 600 or '30 min'."
         ) from error
+    return seconds
 
 
 def _command(*words: Any) -> str:

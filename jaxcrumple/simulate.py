@@ -150,7 +150,7 @@ def simulate(
             check_motion(scene.prescribed, stop)
     solver = integrator() if solver is None else checked_solver(solver)
     require_limit("max_attempts", max_attempts)
-    max_seconds = None if max_seconds is None else checked_limit(max_seconds)
+    require_limit("max_seconds", max_seconds)
     kept, recorder = _Kept(), None
     if record:
         recorder = Recorder(state, solver)
@@ -220,16 +220,6 @@ def checked_times(times: ArrayLike, first_frame: int = 0, now: float = 0.0) -> n
             f"time {stops[first_frame]:g} s lies before the state's, {now:g} s; leave out what it has passed."
         )
     return stops
-
-
-def checked_limit(max_seconds: float) -> float:
-    """A limit of wall time in s.
-
-    **Raises:** ValueError for one that is not a number or negative.
-    """
-    if not max_seconds >= 0.0:
-        raise ValueError(f"max_seconds = {max_seconds!r} must be a wall time in s, at least 0.")
-    return float(max_seconds)
 
 
 class _Budget:

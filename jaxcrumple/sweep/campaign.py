@@ -15,8 +15,8 @@ from jaxcrumple.io import RunDirectory, RunDirectoryError
 from jaxcrumple.io.atomic import refusal, write_bytes
 from jaxcrumple.io.lock import writing
 from jaxcrumple.io.rundir import is_run
+from jaxcrumple.model.fields import require_limit
 from jaxcrumple.run import resume_run, start_run, stored_config
-from jaxcrumple.simulate import checked_limit
 from jaxcrumple.start import check_start
 from jaxcrumple.state import initial_state
 from jaxcrumple.sweep.cases import blamed
@@ -57,7 +57,8 @@ def campaign(
     configuration, or a run that cannot be built, before any of them runs; `WorkersLostError` where all
     workers, or their scheduler, are gone.
     """
-    place, limit = Path(folder).absolute(), None if max_seconds is None else checked_limit(max_seconds)
+    require_limit("max_seconds", max_seconds)
+    place = Path(folder).absolute()
     _check_runs(runs, place)
     summaries = {name: _ended(place / name) for name in runs}
     for name, summary in summaries.items():
@@ -68,7 +69,9 @@ def campaign(
         if missing:
             require_config(runs[missing[0]], local_workers(cluster, len(missing)))
             with connected(cluster, len(missing)) as client:
-                for name, summary in _done(client, {name: runs[name] for name in missing}, place, limit):
+                for name, summary in _done(
+                    client, {name: runs[name] for name in missing}, place, max_seconds
+                ):
                     summaries[name] = summary
                     tell(name, summary["result"])
     finally:

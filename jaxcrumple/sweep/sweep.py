@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 
 from jaxcrumple.memory import require_run
 from jaxcrumple.model.door import door
+from jaxcrumple.model.fields import require_limit
 from jaxcrumple.scenes import Setup
-from jaxcrumple.simulate import checked_limit, checked_times
+from jaxcrumple.simulate import checked_times
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import initial_state
 from jaxcrumple.sweep.batch import run_batch
@@ -73,9 +74,10 @@ def sweep(
     backend = _chosen(backend, cluster, devices)
     if max_attempts is not None and max_attempts < 1:
         raise ValueError(f"max_attempts = {max_attempts!r} must be at least 1.")
+    require_limit("max_seconds", max_seconds)
     limits = Limits(
         np.inf if max_attempts is None else max_attempts,
-        np.inf if max_seconds is None else checked_limit(max_seconds),
+        np.inf if max_seconds is None else max_seconds,
     )
     stops = checked_times(times)
     linear = "two-level" if backend == "batch" else "auto"
