@@ -8,18 +8,22 @@ import subprocess
 import sys
 import time
 
+import meshio
 import numpy as np
 import pytest
 
-from jaxcrumple.config import configure
-from jaxcrumple.io import RunDirectory
+from jaxcrumple import run
+from jaxcrumple.config import complete, configure
+from jaxcrumple.io import RunDirectory, RunDirectoryError
 from jaxcrumple.io.verify import damages
+from jaxcrumple.meshgen import rectangle
 from jaxcrumple.run import resume_run, start_run
 
 PROGRAM = """
 import sys, jax
 jax.config.update("jax_enable_x64", True)
 from jaxcrumple.config import RunConfig
+from jaxcrumple.meshgen import rectangle
 from jaxcrumple.run import resume_run, start_run
 config, folder, resume = sys.argv[1:]
 resume_run(folder) if resume == "resume" else start_run(RunConfig.model_validate_json(config), folder)
@@ -139,3 +143,36 @@ def test_what_a_kill_leaves_half_done_is_dropped(undisturbed, tmp_path):
     resume_run(folder)
     assert_same_run(folder, reference)
     assert not list(folder.rglob("*.tmp"))
+
+
+@pytest.mark.filterwarnings("ignore:the mesh of .* is not isotropic")
+@pytest.mark.parametrize(("edit", "part"), [("vertices", "mesh"), ("thickness", "mass")])
+def test_a_mesh_file_that_was_edited_meanwhile_is_refused(tmp_path, monkeypatch, edit, part):
+    """The options are the same, but not what is built from them."""
+    path, folder = tmp_path / "sheet.vtu", tmp_path / "run"
+    mesh = rectangle(0.1, 0.1, 80, sweeps=20)
+    data = {"vertices": mesh.vertices.copy(), "thickness": np.full(mesh.n_nodes, 1e-4)}
+
+    def write():
+        points = {"h": data["thickness"]}
+        meshio.Mesh(data["vertices"], [("triangle", mesh.faces)], point_data=points).write(path)
+
+    def killed_at_once(*_, **__):
+        raise KeyboardInterrupt
+
+    write()
+    sheet = {"shape": "file", "path": str(path), "thickness": "h"}
+    asked = {"scene": "custom", "t_end": 0.1, "options": {"sheet": sheet, "contact": None}}
+    monkeypatch.setattr(run, "simulate", killed_at_once)
+    with pytest.raises(KeyboardInterrupt):
+        start_run(complete(asked), folder)
+    with pytest.raises(KeyboardInterrupt):  # goes on
+        resume_run(folder)
+    data[edit][0] *= 1.01
+    write()
+    with pytest.raises(RunDirectoryError, match=rf"now make another {part} than the run began with: a file"):
+        resume_run(folder)
+    data[edit][0] /= 1.01
+    write()
+    with pytest.raises(KeyboardInterrupt):
+        resume_run(folder)
