@@ -33,6 +33,7 @@ def used(monkeypatch, granted):
     granted(10**9)
     monkeypatch.setattr(programs, "_memory", programs._Memory())
     monkeypatch.setattr(programs, "memory_limit", lambda: 1e12)
+    monkeypatch.setattr(programs, "GROWTH", 3e8)
 
     def use(bytes_: float) -> None:
         monkeypatch.setattr(programs, "resident", lambda: bytes_)
