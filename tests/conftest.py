@@ -3,6 +3,7 @@ next."""
 
 import gc
 import os
+import signal
 from pathlib import Path
 
 import jax
@@ -12,6 +13,12 @@ jax.config.update("jax_enable_x64", True)
 # Tests compile for longer than they run, and trace for as long, where collecting garbage often costs a tenth.
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 gc.set_threshold(100_000, 50, 50)
+
+
+# A job in the background, or under nohup, ignores these, and so would the programs that tests start.
+for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+    if signal.getsignal(number) == signal.SIG_IGN:
+        signal.signal(number, usual)
 
 
 def _keep_compiled_programs() -> None:

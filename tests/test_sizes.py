@@ -247,12 +247,13 @@ def test_a_record_that_grows_too_large_is_warned_of_once(memory_of):
 
 def test_a_run_with_more_frames_than_fit_is_not_read(memory_of, tmp_path):
     config = configure("radial", nodes=60, settings=["contact=none", "sweeps=2"])
-    folder = RunDirectory.create(tmp_path / "run", config.model_dump(mode="json"))
-    folder.save_mesh(MESH)
+    stiffness = np.ones(len(MESH.edges)), np.ones(len(MESH.hinges))
+    folder = RunDirectory.create(tmp_path / "run", config.model_dump(mode="json"), MESH, stiffness)
     for index in range(3):
-        folder.save_frame(index, float(index), MESH.vertices, MESH.vertices, None)
+        folder.save_frame(float(index), MESH.vertices, MESH.vertices, None)
+    folder.commit({}, {"t": 2.0})
     memory_of(3 * 144 * MESH.n_nodes - 1)
-    with pytest.raises(ValueError, match=r"a run of \d+ nodes with 3 frames .*; read single frames with Run"):
+    with pytest.raises(ValueError, match=r"a run of \d+ nodes with 3 frames .*; read frames one by one with Run"):
         jc.load(tmp_path / "run")
     memory_of(6 * 144 * MESH.n_nodes)
     assert len(jc.load(tmp_path / "run").t) == 3

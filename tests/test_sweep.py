@@ -76,9 +76,9 @@ def test_lanes_in_turn_give_the_same_table(swept):
 
 
 def weakened(load):
-    """An arch whose springs are no numbers at one load."""
+    """An arch whose springs are too stiff for float64 at one load."""
     setup = jc.arch(60, load=load)
-    stiffness = setup.scene.membrane.stiffness * (np.nan if load == 0.1 else 1.0)
+    stiffness = setup.scene.membrane.stiffness * (1e300 if load == 0.1 else 1.0)
     return setup._replace(scene=eqx.tree_at(lambda s: s.membrane.stiffness, setup.scene, stiffness))
 
 

@@ -94,7 +94,7 @@ class Evaluations:
         try:
             found, failure = self._residuals(u)
         except ValueError as error:
-            found, failure = np.empty(0), str(error)
+            found, failure = np.empty(0), str(error).rstrip(".")
         except Exception as error:
             error.add_note(f"in the run at {self._told(u)}")
             raise
