@@ -23,7 +23,7 @@ from jaxcrumple.solvers.integrate import BUDGET, EXPLICIT_COST, IMPLICIT_COST, L
 from jaxcrumple.solvers.log import empty_log
 from jaxcrumple.solvers.scheme import SCHEMES, integrator
 from jaxcrumple.solvers.switch import Switch
-from jaxcrumple.state import EXPLICIT, IMPLICIT, QUASISTATIC, STAGES, initial_state
+from jaxcrumple.state import EXPLICIT, IMPLICIT, QUASISTATIC, RESULTS, STAGES, initial_state
 
 NODES = 60
 # The start is over at 3 ms; the wall makes the sheet snap at 9 ms, and it is calm again at 19 ms.
@@ -331,12 +331,18 @@ PARAMETERS = {
 
 
 @pytest.mark.parametrize("name", PARAMETERS)
-def test_nan_in_the_scene_ends_in_a_named_result(name):
+def test_nan_in_the_scene_is_refused_or_ends_in_a_named_result(name):
+    """Inside a program nobody can look at numbers, so that the result has to tell."""
     where = PARAMETERS[name]
     scene = eqx.tree_at(where, setup().scene, where(setup().scene).at[1].set(jnp.nan))
-    solution = simulate(scene, start(), SNAP_END, solver=solver(), max_seconds=1.0)
-    assert solution.result in ("nonfinite", "collapsed")
-    np.testing.assert_array_equal(solution.state.x, setup().x)
+    with pytest.raises(
+        ValueError, match=r"^scene\..*\[1\] is nan; it must be finite|has NaN among its numbers"
+    ):
+        simulate(scene, start(), SNAP_END, solver=solver())
+    program = importlib.import_module("jaxcrumple.simulate")._integrate
+    state, _ = program(scene, start(), jnp.asarray(SNAP_END), solver(), jnp.asarray(100.0))
+    assert bool(state.result == RESULTS.nonfinite) or bool(state.result == RESULTS.collapsed)
+    np.testing.assert_array_equal(state.x, setup().x)
 
 
 # --- Many runs at once ---------------------------------------------------------------------------

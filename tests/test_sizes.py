@@ -253,7 +253,9 @@ def test_a_run_with_more_frames_than_fit_is_not_read(memory_of, tmp_path):
         folder.save_frame(float(index), MESH.vertices, MESH.vertices, None)
     folder.commit({}, {"t": 2.0})
     memory_of(3 * 144 * MESH.n_nodes - 1)
-    with pytest.raises(ValueError, match=r"a run of \d+ nodes with 3 frames .*; read frames one by one with Run"):
+    with pytest.raises(
+        ValueError, match=r"a run of \d+ nodes with 3 frames .*; read frames one by one with Run"
+    ):
         jc.load(tmp_path / "run")
     memory_of(6 * 144 * MESH.n_nodes)
     assert len(jc.load(tmp_path / "run").t) == 3

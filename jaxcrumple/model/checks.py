@@ -45,10 +45,14 @@ def check_surroundings(
         _check_flow_rule(plasticity, hinges)
 
 
-def _check_wall(name: str, wall: Wall | AbstractShape, nodes: int) -> None:
-    numbers = jax.tree.leaves(eqx.filter(wall, eqx.is_array))
-    if any(is_known(part) and np.any(np.isnan(part)) for part in numbers):
+def _check_no_nan(name: str, part: Any) -> None:
+    numbers = jax.tree.leaves(eqx.filter(part, eqx.is_inexact_array))
+    if any(is_known(array) and np.any(np.isnan(array)) for array in numbers):
         raise ValueError(f"{name} has NaN among its numbers.")
+
+
+def _check_wall(name: str, wall: Wall | AbstractShape, nodes: int) -> None:
+    _check_no_nan(name, wall)
     shape = wall
     if isinstance(wall, Wall):
         shape = wall.shape
@@ -106,6 +110,7 @@ def _check_flow_rule(rule: Any, hinges: int) -> None:
         raise ValueError(
             f"plasticity has type {type(rule).__name__}; it must be an AbstractFlowRule, e.g. SmoothstepFlow."
         )
+    _check_no_nan(f"plasticity ({type(rule).__name__})", rule)
     found = _shape("the rate of plasticity", rule.rate, _numbers(hinges), _numbers(hinges))
     if found != (hinges,):
         raise ValueError(
