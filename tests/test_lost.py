@@ -118,9 +118,9 @@ def test_a_run_whose_time_was_up_goes_on(monkeypatch, tmp_path):
     monkeypatch.setattr(campaigns, "_check_same", lambda *_: None)
     for result, gone_on in (("budget", [5.0]), ("success", [])):
         monkeypatch.setattr(campaigns, "_summary", lambda _, result=result: {"result": result})
-        assert bool(campaigns._finished(folder)) is not bool(gone_on)
+        assert bool(campaigns._ended(folder)) is not bool(gone_on)
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "run.json").write_text(json.dumps({}))
+        (folder / "manifest.json").write_text(json.dumps({}))
         limits.clear()
         assert campaigns.run_missing(RUNS[NAMES[0]], folder, 5.0) == {"result": "success"}
         assert limits == gone_on

@@ -14,7 +14,7 @@ from jaxcrumple.estimate import require_config
 from jaxcrumple.io import RunDirectory, RunDirectoryError
 from jaxcrumple.io.atomic import refusal, write_bytes
 from jaxcrumple.io.lock import writing
-from jaxcrumple.io.rundir import is_run
+from jaxcrumple.io.rundir import is_run, make_folder
 from jaxcrumple.model.fields import require_limit
 from jaxcrumple.run import resume_run, start_run, stored_config
 from jaxcrumple.start import check_start
@@ -138,7 +138,8 @@ def run_missing(config: RunConfig, folder: Path, max_seconds: float | None = Non
 
     Whoever else is at it is waited for.
     """
-    folder.mkdir(exist_ok=True)
+    if not is_run(folder):
+        make_folder(folder)
     with writing(folder, wait=True):
         if not is_run(folder):
             return start_run(config, folder, max_seconds=max_seconds)
