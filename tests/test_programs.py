@@ -103,10 +103,8 @@ def test_programs_are_forgotten_where_mappings_run_out(granted):
     assert len(traces) == 2
 
 
-def test_nothing_is_known_elsewhere(monkeypatch, tmp_path):
+def test_nothing_is_known_of_mappings_elsewhere(used, monkeypatch, tmp_path):
     monkeypatch.setattr(programs, "MAPPINGS", tmp_path / "absent")
-    monkeypatch.setattr(programs, "PAGES", tmp_path / "absent")
-    assert programs.resident() is None
     assert not programs.make_room(share=0.0)
 
 
