@@ -73,7 +73,8 @@ def test_energy_without_a_cause_is_numerical(rho):
     v = np.outer(height / height.max(), [0.0, 0.0, 0.5])
     options = {"scheme": "dynamic", "rho_infinity": rho, "rtol": 0.09}
     work, gained, _ = ledger(scene, mesh.vertices, 0.02, v, **options)
-    assert abs(gained) > 1e-10
+    # The midpoint rule, whose rho is 1, conserves energy.
+    assert abs(gained) < 1e-10 if rho == 1.0 else abs(gained) > 1e-10
     assert gained == pytest.approx(work["numerical"], rel=1e-2)
     assert all(work[name] == 0.0 for name in ("walls", "drag", "damping", "plastic"))
 
