@@ -25,7 +25,9 @@ def test_a_second_writer_is_refused(reference):
 def test_the_judge_finds_what_is_wrong(reference, tmp_path):
     """A reader that trusts what it reads would pass for none of these."""
     whole = reference["phantom"]
-    other = whole._replace(read={**whole.read, whole.finished: {"x": b""}}, states={})
+    other = whole._replace(
+        read={**whole.read, whole.finished: dict.fromkeys(whole.read[whole.finished], b"")}, states={}
+    )
     found = fuzz_runs.try_damages({"phantom": other}, 20, seed=2, place=tmp_path)
     assert any("goes on from another state" in fault for fault in found)
     assert fuzz_runs.judged(lambda: 1 / 0) == ("fault", "ZeroDivisionError: division by zero")
