@@ -269,8 +269,8 @@ def export(folder: RunDirectory, name: str = FILM) -> Path | None:
     """Write the film for ParaView from the saved frames, if there are any; its path."""
     if not folder.frames():
         return None
-    mesh = folder.load_mesh()
-    fields = sheet_fields(mesh, *folder.load_stiffness())
+    mesh, stiffness = folder.load_sheet()
+    fields = sheet_fields(mesh, *stiffness)
     write_vtkhdf(folder.path / name, mesh, folder.load_frames(), *fields)
     return folder.path / name
 

@@ -193,11 +193,11 @@ class RunDirectory:
 
     def load_mesh(self) -> Mesh:
         """The mesh as it was saved, bit for bit."""
-        return unpack_mesh(self.path / MESH, self.read(MESH))[0]
+        return self.load_sheet()[0]
 
-    def load_stiffness(self) -> Stiffness:
-        """Stiffness of the edges (e,) in N/m and of the hinges (h,) in J."""
-        return unpack_mesh(self.path / MESH, self.read(MESH))[1]
+    def load_sheet(self) -> tuple[Mesh, Stiffness]:
+        """The mesh, and the stiffness of its edges (e,) in N/m and of its hinges (h,) in J."""
+        return unpack_mesh(self.path / MESH, self.read(MESH))
 
     def load_frames(self) -> Iterator[Frame]:
         """All frames, one after the other."""
