@@ -23,7 +23,7 @@ def calibrate_by_fold(
     import math
 
     from jaxcrumple.calibrate import calibrate_fold
-    from jaxcrumple.io.atomic import to_json, write_bytes
+    from jaxcrumple.io.atomic import json_bytes, write_bytes
 
     if not 0 < target_angle < 180:
         raise ValueError(
@@ -61,7 +61,7 @@ def calibrate_by_fold(
         "seed": seed,
     }
     if json_file is not None:
-        write_bytes(json_file, (to_json(result, indent=2) + "\n").encode())
+        write_bytes(json_file, json_bytes(result))
     say(
         f"yield curvature {found.yield_curvature:.4g} +- {found.std:.2g} 1/m, c0 = {found.c0:.4g}; the fold "
         f"then keeps {result['angle_deg']:.4g} degrees ({found.fit.message})"

@@ -71,9 +71,9 @@ def write_bytes(path: Path, data: bytes | memoryview) -> None:
         file.write(data)
 
 
-def write_json(path: Path, data: Mapping[str, Any]) -> None:
-    """Write `data`, which may hold NumPy numbers and arrays, as JSON, all or nothing."""
-    write_bytes(path, (to_json(data, indent=2) + "\n").encode())
+def json_bytes(data: Mapping[str, Any]) -> bytes:
+    """Contents of a JSON file of `data`, which may hold NumPy numbers and arrays."""
+    return (to_json(data, indent=2) + "\n").encode()
 
 
 def npz_bytes(arrays: Mapping[str, np.ndarray]) -> bytes:

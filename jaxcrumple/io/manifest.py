@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jaxcrumple.io.atomic import RunDirectoryError, to_json, write_bytes
+from jaxcrumple.io.atomic import RunDirectoryError, json_bytes, to_json, write_bytes
 
 MANIFEST = "manifest.json"
 FORMAT, VERSION = "jaxcrumple-manifest", 1
@@ -102,11 +102,8 @@ def entry_of(data: bytes | memoryview) -> Entry:
 def sealed(contents: Mapping[str, Any], form: str, version: int) -> bytes:
     """JSON text of `contents` with the name and version of its format, and with its own checksum."""
     plain = json.loads(to_json(contents))
-    text = to_json(
-        {"format": form, "version": version, "sha256": _checksum(plain, form, version), "contents": plain},
-        indent=2,
-    )
-    return (text + "\n").encode()
+    sha256 = _checksum(plain, form, version)
+    return json_bytes({"format": form, "version": version, "sha256": sha256, "contents": plain})
 
 
 def unsealed(data: bytes, form: str, version: int) -> dict[str, Any]:

@@ -28,7 +28,15 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from jaxcrumple.io.atomic import RunDirectoryError, discard, refusal, temporary, to_json, write_bytes
+from jaxcrumple.io.atomic import (
+    RunDirectoryError,
+    discard,
+    json_bytes,
+    refusal,
+    temporary,
+    to_json,
+    write_bytes,
+)
 from jaxcrumple.io.checkpoint import pack_checkpoint
 from jaxcrumple.io.frames import Frame, Stiffness, pack_frame, pack_mesh, unpack_frame, unpack_mesh
 from jaxcrumple.io.lock import LOCK
@@ -284,7 +292,7 @@ class RunDirectory:
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write how the run ended, and make that and the film, if there is one, part of the run."""
-        entry = _write(self.path / SUMMARY, (to_json(summary, indent=2) + "\n").encode())
+        entry = _write(self.path / SUMMARY, json_bytes(summary))
         self._set(self.manifest.with_files({SUMMARY: entry, **self._film()}))
         discard(self.path / PARTIAL)
 
