@@ -42,7 +42,7 @@ def run(count: int, settings: list[str]) -> None:
 def peak() -> float:
     """Peak memory of this process in MB."""
     lines = Path("/proc/self/status").read_text().splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) * 1024 / 1e6
 
 
 def measured(count: int, settings: list[str]) -> float:

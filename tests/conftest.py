@@ -24,14 +24,17 @@ for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHU
 def _keep_compiled_programs() -> None:
     """Keep them where the environment says, or in the user's cache, and tell the programs that tests start.
 
-    Two processes that write one entry at once would damage it, so each worker has a folder of its own.
+    JAX locks a folder of bounded size, so all workers may share one.
     """
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    base = os.environ.get("JAX_COMPILATION_CACHE_DIR") or home / "jaxcrumple" / "tests"
-    folder = str(Path(base) / os.environ.get("PYTEST_XDIST_WORKER", ""))
-    shortest = os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = folder
+    usual = {
+        "JAX_COMPILATION_CACHE_DIR": str(home / "jaxcrumple" / "tests-shared"),
+        "JAX_COMPILATION_CACHE_MAX_SIZE": str(4 * 10**9),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.3",
+    }
+    folder, size, shortest = (os.environ.setdefault(name, value) for name, value in usual.items())
     jax.config.update("jax_compilation_cache_dir", folder)
+    jax.config.update("jax_compilation_cache_max_size", int(size))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", float(shortest))
 
 

@@ -59,6 +59,7 @@ def test_high_order_takes_fewer_steps_to_a_smaller_error():
     assert error_high < 0.5 * error_low < 0.5e-4
 
 
+@pytest.mark.slow
 def test_short_steps_and_other_dissipation_keep_to_order_two():
     assert crumpled(1e-3, drag=50.0).history["order"].max() == 2
     assert crumpled(1e-3, rho_infinity=0.5).history["order"].max() == 2

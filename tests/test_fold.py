@@ -26,6 +26,7 @@ def kept():
     return frames
 
 
+@pytest.mark.slow
 def test_strips_lie_over_one_another_when_it_is_closed(kept):
     for mesh, solution in kept.values():
         right = mesh.vertices[:, 0] > (0.5 - GRIP) * 0.1
@@ -34,6 +35,7 @@ def test_strips_lie_over_one_another_when_it_is_closed(kept):
         assert np.ptp(solution.x[1][:, 2]) < 0.01
 
 
+@pytest.mark.slow
 def test_a_fold_keeps_a_sharper_angle_where_it_yields_early(kept):
     angles = [float(jc.fold_angle(mesh, jnp.asarray(run.x[-1]))) for mesh, run in kept.values()]
     assert 0.2 < angles[0] < angles[1] - 0.2

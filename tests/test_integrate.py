@@ -348,6 +348,7 @@ def test_nan_in_the_scene_is_refused_or_ends_in_a_named_result(name):
 # --- Many runs at once ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_vmap_over_wall_speeds_equals_single_runs():
     scene, state = setup().scene, start()
     speeds = (0.01, 0.015)

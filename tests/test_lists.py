@@ -41,7 +41,10 @@ def moving_layers(speed):
     return scene, jc.initial_state(scene, state.x, velocity)
 
 
-@pytest.mark.parametrize(("scheme", "speed"), [("dynamic", 0.0), ("explicit", 2.0)])
+@pytest.mark.parametrize(
+    ("scheme", "speed"),
+    [pytest.param("dynamic", 0.0, marks=pytest.mark.slow), ("explicit", 2.0)],
+)
 def test_a_run_cut_anywhere_goes_on_to_the_same_bits(monkeypatch, scheme, speed):
     """Also within the life of a factor that serves several steps, and of a list; and compiles nothing new."""
     once = eqx.filter_jit(eqx.debug.assert_max_traces(jc.integrate, max_traces=1))

@@ -8,8 +8,8 @@ import pytest
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 
 
-# Takes a minute to compile.
-LONG = ("gradients_near_a_snap",)
+# Take a minute and more to compile.
+LONG = ("calibrate_a_fold", "first_crumple", "gradients_near_a_snap")
 
 
 def _case(path: Path):

@@ -108,6 +108,7 @@ def test_nothing_is_known_of_mappings_elsewhere(used, monkeypatch, tmp_path):
     assert not programs.make_room(share=0.0)
 
 
+@pytest.mark.slow
 @on_linux
 def test_a_run_in_a_crowded_process_ends_as_any(granted):
     setup = configure("radial", nodes=60, settings={"contact": None}).build()

@@ -226,6 +226,7 @@ def test_a_cluster_that_does_not_answer_is_refused():
         jc.sweep("arch", {"load": [0.1]}, 1e-5, settings=SETTINGS, cluster=3)
 
 
+@pytest.mark.slow
 def test_a_case_whose_measure_breaks_on_its_way_stops_alone(swept, client):
     """And keeps what was measured before."""
 

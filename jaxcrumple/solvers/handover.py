@@ -94,9 +94,17 @@ def handed_over(scene: Scene, state: State, log: Log, handover: Handover) -> tup
     """The state in its new stage, if that is another one, and both sides of the change in the log."""
 
     def change() -> tuple[State, Log]:
-        before = append(log, row(scene, state, BEFORE, handover.h, 0, 0.0))
+        last = row(scene, state, BEFORE, handover.h, 0, 0.0)
         changed = _changed(state, handover)
-        return changed, append(before, row(scene, changed, AFTER, handover.h, 0, 0.0))
+        # Nodes stay where they are, and so do energies.
+        monitor = changed.monitor
+        first = last._replace(
+            kind=AFTER,
+            stage=changed.stage,
+            acceleration=monitor.ratios[0],
+            acceleration_mean=jnp.mean(monitor.ratios),
+        )
+        return changed, append(append(log, last), first)
 
     return jax.lax.cond(handover.stage != state.stage, change, lambda: (state, log))
 
