@@ -35,6 +35,7 @@ from jaxcrumple import run as runs  # noqa: E402
 from jaxcrumple.config import RunConfig, configure  # noqa: E402
 from jaxcrumple.io import RunDirectory, RunDirectoryError, load  # noqa: E402
 from jaxcrumple.io.lock import writing  # noqa: E402
+from jaxcrumple.io.rundir import frame_name  # noqa: E402
 from jaxcrumple.io.table import Table  # noqa: E402
 from jaxcrumple.io.verify import damages  # noqa: E402
 
@@ -93,6 +94,13 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {name: path.read_bytes() for name, path in files.items() if not TIMED.fullmatch(name)}
 
 
+def named(folder: Path) -> list[str]:
+    """Files that belong to a run: others are left of writes that were cut off."""
+    opened = RunDirectory.open(folder)
+    frames = [frame_name(index) for index in opened.frames()]
+    return [*opened.manifest.files, *opened.manifest.tables, *frames]
+
+
 def same_end(one: Path, other: Path) -> bool:
     """Whether two finished runs are the same."""
     ends = []
@@ -130,8 +138,12 @@ def reference(name: str, place: Path) -> Reference:
 
 
 def damaged(rng: np.random.Generator, folder: Path, foreign: Path) -> str:
-    """Damage one file of a folder, or two, with a file of `foreign` at hand; in words what was done."""
-    files = sorted(path for path in folder.rglob("*") if path.is_file() and path.name != ".lock")
+    """Damage one file of a folder, or two, with a file of `foreign` at hand; in words what was done.
+
+    Hidden files are left alone: the lock, and what a write left half done. A manifest that was about to be
+    put in its place tells a later moment of the same run.
+    """
+    files = sorted(path for path in folder.rglob("*") if path.is_file() and not path.name.startswith("."))
     path = files[rng.integers(len(files))]
     name, data = path.relative_to(folder), path.read_bytes()
     kind = rng.choice(["flip", "flip", "flip", "truncate", "delete", "swap", "foreign"])
@@ -192,8 +204,8 @@ def faults(folder: Path, whole: Reference, base: Path) -> Iterator[tuple[str, st
         found, outcome = f"read with other {', '.join(changed)}", "fault"
     yield f"load: {outcome}", found if outcome == "fault" else ""
     wrong = damages(folder)
-    if not wrong and contents(folder).keys() < contents(base).keys():
-        yield "verify: fault", "a file is missing, and all is called sound"
+    if not wrong and (lost := [name for name in named(base) if not (folder / name).exists()]):
+        yield "verify: fault", f"{', '.join(lost)} is missing, and all is called sound"
     yield f"verify: {'damaged' if wrong else 'sound'}", ""
     yield _gone_on(folder, whole, "resume", lambda: runs.resume_run(folder))
     outcome, found = judged(lambda: runs.repair_run(folder))
@@ -236,7 +248,9 @@ def try_damages(references: dict[str, Reference], count: int, seed: int, place: 
             with stopped_before_simulating(built[name]):
                 for outcome, fault in faults(folder, whole, base):
                     outcomes[outcome] += 1
-                    found += [f"{name}, {base.name}, {done}: {outcome}: {fault}"] if fault else []
+                    if fault:
+                        found.append(f"{name}, {base.name}, {done}: {outcome}: {fault}")
+                        print(found[-1], flush=True)
         finally:
             shutil.rmtree(folder)
     for outcome, number in sorted(outcomes.items()):
@@ -329,8 +343,10 @@ def try_kills(references: dict[str, Reference], count: int, seed: int, place: Pa
                 action()
             if not same_end(folder, whole.finished):
                 found.append(f"{name} killed at {at}: ends otherwise")
+                print(found[-1], flush=True)
         except Exception as error:
             found.append(f"{name} killed at {at}: {type(error).__name__}: {error}")
+            print(found[-1], flush=True)
         finally:
             shutil.rmtree(folder, ignore_errors=True)
     print(f"  {kills} kills")
@@ -365,17 +381,18 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         place, start = Path(name), time.perf_counter()
         references = {scene: reference(scene, place) for scene in asked.scenes}
-        print(f"{len(references)} scenes run in {time.perf_counter() - start:.0f} s")
+        print(f"{len(references)} scenes run in {time.perf_counter() - start:.0f} s", flush=True)
         found = []
         for what, trial in (("damages", try_damages), ("kills", try_kills)):
             start = time.perf_counter()
             found += trial(references, getattr(asked, what), asked.seed, place)
             print(
-                f"{getattr(asked, what)} {what} in {time.perf_counter() - start:.0f} s, {len(found)} faults"
+                f"{getattr(asked, what)} {what} in {time.perf_counter() - start:.0f} s, {len(found)} faults",
+                flush=True,
             )
-        found += try_two_writers(next(iter(references.values())))
-        for fault in found[:20]:
-            print(fault)
+        writers = try_two_writers(next(iter(references.values())))
+        print(f"two writers: {writers or 'one is refused'}")
+        found += writers
     raise SystemExit(1 if found else 0)
 
 
