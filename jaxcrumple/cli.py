@@ -350,7 +350,11 @@ def repair(folder: Annotated[Path, typer.Argument(help="Folder of a run.")]) -> 
     if t is None:
         say(f"{folder} is sound; nothing was changed")
         return
-    scene = RunDirectory.open(folder).config["scene"]
+    run = RunDirectory.open(folder)
+    counts, scene = run.counts, run.config["scene"]
+    say(f"{counts.frames} frames and {counts.history_rows} rows of history are left")
+    if pictures := sorted(path.name for path in folder.glob("*.png")):
+        say(f"drawn before that: {', '.join(pictures)}")
     say(f"{folder} is at t = {t:.4g} s again; go on with: jaxcrumple run {scene} --resume --out {folder}")
 
 

@@ -88,13 +88,26 @@ def check_place(path: Path, option: str) -> None:
 def run_program(app: Callable[[], Any]) -> NoReturn:
     """Call a program of Typer's, say what ended it, and exit."""
     jax.config.update("jax_enable_x64", True)
-    with _stoppable(), _guarded_output():
+    with _stoppable(), _guarded_output(), warnings.catch_warnings():
+        warnings.showwarning = _shown_once()
         try:
             code = _called(app)
             sys.stdout.flush()
         except BaseException as error:
             code = _told(error)
     sys.exit(code)
+
+
+def _shown_once() -> Callable[..., None]:
+    """Show warnings in a line each, those of the same text once."""
+    seen: set[str] = set()
+
+    def show(message: Warning | str, *_: Any) -> None:
+        if (text := str(message)) not in seen:
+            seen.add(text)
+            _complain(f"warning: {text}", style="yellow")
+
+    return show
 
 
 def keep_programs() -> None:

@@ -59,8 +59,8 @@ class Mesh:
     node_area: FloatArray  # (n,) a third of the area of the incident faces [m^2]
 
     @classmethod
-    def from_arrays(cls, vertices: ArrayLike, faces: ArrayLike, *, reorder: bool = True) -> Mesh:
-        """Check, orient and number a triangulated surface.
+    def from_arrays(cls, vertices: ArrayLike, faces: ArrayLike, *, reorder: bool = False) -> Mesh:
+        """Check and orient a triangulated surface. Its nodes keep their numbers where faces use them all.
 
         **Arguments:**
 
@@ -68,7 +68,8 @@ class Mesh:
           dropped.
         - `faces`: (f, 3) integers. Where faces disagree in orientation the minority is turned.
         - `reorder`: number the nodes along a Hilbert curve and sort the faces to match, so that neighbours on
-          the sheet are neighbours in memory. `source_nodes` leads back to the input.
+          the sheet are neighbours in memory, which is faster where the input has no such order. Positions in
+          the order of the input are then none of the mesh: `source_nodes` leads from one to the other.
 
         **Raises:** `MeshError` naming the offending nodes or faces of the input: wrong shape or type,
         non-finite position, index out of range, repeated vertex, duplicate face, zero area, edge with more
@@ -106,7 +107,7 @@ class Mesh:
 
         **Arguments:**
 
-        - `reorder`: as in `from_arrays`; False keeps the order of the file.
+        - `reorder`: as in `from_arrays`, but on by default; False keeps the order of the file.
         - `merge`: points at most so far apart become one: a distance [m], or a string such as "1 um".
           By default the points of STL files, which have no shared ones, within 1e-6 of the size of the sheet.
         - `unit`: of all lengths in the file, such as "mm"; metres by default.
@@ -117,7 +118,10 @@ class Mesh:
         **Warns:** `MeshWarning` for a size that suggests another unit.
         """
         points, faces = read_sheet(path, merge, unit)
-        return cls.from_arrays(points, faces, reorder=reorder)
+        try:
+            return cls.from_arrays(points, faces, reorder=reorder)
+        except MeshError as error:
+            raise MeshError(f"{str(path)!r}, its points counted from 0: {error}") from None
 
     def __post_init__(self) -> None:
         for name, array in vars(self).items():

@@ -174,7 +174,7 @@ def _random_mesh(domain: _Domain, nodes: SupportsIndex, seed: SupportsIndex, swe
         free = centroids(free, np.vstack([fixed, domain.mirror(free, spacing), guard]))
     points = np.vstack([fixed, free])
     triangles = Delaunay(np.vstack([points, guard])).simplices
-    mesh = Mesh.from_arrays(points, triangles[(triangles < nodes).all(axis=1)])
+    mesh = Mesh.from_arrays(points, triangles[(triangles < nodes).all(axis=1)], reorder=True)
     if mesh.n_nodes != nodes:
         raise ValueError(f"two of the random nodes of seed = {seed} coincide; choose another seed")
     return mesh

@@ -150,4 +150,6 @@ def _placed(mesh: Mesh, plane: FloatArray, points: FloatArray, triangles: NDArra
     u, v = q - p, r - p
     turned = (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] > 0) != up
     triangles = np.where(turned[:, None], triangles[:, [0, 2, 1]], triangles)
-    return Mesh.from_arrays(np.column_stack([points, np.ones(len(points))]) @ to_space, triangles)
+    return Mesh.from_arrays(
+        np.column_stack([points, np.ones(len(points))]) @ to_space, triangles, reorder=True
+    )

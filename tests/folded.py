@@ -28,7 +28,7 @@ def strip(
         for j in range(rows - 1):
             a, b, c, d = i * rows + j, (i + 1) * rows + j, (i + 1) * rows + j + 1, i * rows + j + 1
             faces += [(a, b, c), (a, c, d)] if (i + j) % 2 else [(a, b, d), (b, c, d)]
-    return jc.Mesh.from_arrays(points, faces)
+    return jc.Mesh.from_arrays(points, faces, reorder=True)
 
 
 def layer_of(mesh: jc.Mesh, columns: tuple[int, ...] = COLUMNS) -> np.ndarray:

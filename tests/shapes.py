@@ -34,4 +34,4 @@ def icosphere(levels):
         edges = Mesh.from_arrays(x, ConvexHull(x).simplices, reorder=False).edges
         x = np.concatenate([x, x[edges].mean(axis=1)])
         x /= np.linalg.norm(x, axis=1, keepdims=True)
-    return Mesh.from_arrays(RADIUS * x, ConvexHull(x).simplices)
+    return Mesh.from_arrays(RADIUS * x, ConvexHull(x).simplices, reorder=True)

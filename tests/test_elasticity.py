@@ -154,7 +154,7 @@ def icosphere(levels):
         halves = np.sort(np.stack([f, np.roll(f, -1, axis=1)], axis=2), axis=2)
         m = np.array([[number[tuple(e)] for e in face] for face in halves.tolist()])
         f = np.vstack([np.column_stack([f[:, k], m[:, k], m[:, k - 1]]) for k in range(3)] + [m])
-    return Mesh.from_arrays(x, f)
+    return Mesh.from_arrays(x, f, reorder=True)
 
 
 def test_closed_sphere():

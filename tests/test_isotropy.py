@@ -20,7 +20,7 @@ def lattice(count, one=(1.0, 0.0), two=(0.0, 1.0), keep=lambda i, j: True):
                 a = row * (count + 1) + column
                 b, c, d = a + count + 1, a + count + 2, a + 1
                 faces += [[a, b, c], [a, c, d]]
-    return Mesh.from_arrays(points, faces)
+    return Mesh.from_arrays(points, faces, reorder=True)
 
 
 def turned(mesh):

@@ -29,7 +29,7 @@ def layers():
     points = (
         3.0 * SIGMA * np.array([[0, 0], [0.5, 0.75**0.5], [1, 0], [1.5, 0.75**0.5], [2, 0], [2.5, 0.75**0.5]])
     )
-    mesh = jc.Mesh.from_arrays(points, [[0, 1, 2], [1, 2, 3], [2, 3, 4], [3, 4, 5]])
+    mesh = jc.Mesh.from_arrays(points, [[0, 1, 2], [1, 2, 3], [2, 3, 4], [3, 4, 5]], reorder=True)
     material = jc.Material(thickness=0.3e-3, yield_curvature=None, drag_rate=0.0, internal_damping_time=0.0)
     first = mesh.faces[np.argmin(mesh.vertices[mesh.faces, 0].sum(axis=1))]
     upper = ~np.isin(np.arange(mesh.n_nodes), first)
