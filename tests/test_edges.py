@@ -21,7 +21,8 @@ from jaxcrumple.console import OutputLostError, Stopped, noted, run_program, say
 from jaxcrumple.sweep.cluster import WorkersLostError
 from jaxcrumple.toml import DEEPEST, LARGEST, read_toml
 
-ENTRY = Path(jc.__file__).with_name("entry.py")
+PACKAGE = Path(jc.__file__).parent
+ENTRY = PACKAGE / "entry.py"
 RUN = ["radial", "--nodes", "40", "--t-end", "0.02", "--set", "contact=none"]
 
 
@@ -349,7 +350,8 @@ def test_the_command_itself(tmp_path, shell, code, words):
     if "cuda" in shell and jax.default_backend() != "cpu":
         pytest.skip("this machine has what is asked for")
     (tmp_path / "gone").mkdir()
-    path = os.pathsep.join([str(ENTRY.parents[1]), os.environ.get("PYTHONPATH", "")])
+    # An empty part would be the working directory, without which Python does not start.
+    path = os.pathsep.join(filter(None, [str(PACKAGE.parent), os.environ.get("PYTHONPATH")]))
     program = ["sh", "-c", shell, "sh", sys.executable, "-m", "jaxcrumple"]
     environment = {**os.environ, "PYTHONPATH": path}
     place = tmp_path / "gone"
