@@ -1,20 +1,24 @@
 """jaxcrumple: a differentiable JAX simulator of thin elastoplastic sheets."""
 
 # ruff: noqa: E402
-from jaxcrumple import entry
+from jaxcrumple.cli import entry
 
 # Before the other imports, which take seconds.
 entry.prepare()
 
 from jaxcrumple.calibrate import Experiment, Fit, Parameter, calibrate_fold, calibrate_pattern, fit
-from jaxcrumple.config import ConfigError, configure
+from jaxcrumple.contact.energy import SelfContact
 from jaxcrumple.io import CheckpointError, Run, RunDirectoryError, load
-from jaxcrumple.isotropy import Stiffness, patch_test
-from jaxcrumple.material import Material
-from jaxcrumple.mesh import Mesh, MeshError
-from jaxcrumple.mesh_files import MeshWarning
-from jaxcrumple.meshgen import disc, hexagonal, rectangle
-from jaxcrumple.model.confinement import (
+from jaxcrumple.material.material import Material
+from jaxcrumple.material.presets import PRESETS, preset
+from jaxcrumple.mesh.files import MeshWarning
+from jaxcrumple.mesh.generate import disc, hexagonal, rectangle
+from jaxcrumple.mesh.isotropy import Stiffness, patch_test
+from jaxcrumple.mesh.mesh import Mesh, MeshError
+from jaxcrumple.mesh.remesh import remeshed
+from jaxcrumple.model.loads import ElementEnergy, Gravity, LinearMotion, Prescribed
+from jaxcrumple.model.plasticity import AbstractFlowRule, SmoothstepFlow
+from jaxcrumple.model.walls import (
     Ball,
     Cone,
     Corners,
@@ -25,16 +29,11 @@ from jaxcrumple.model.confinement import (
     Sphere,
     Wall,
 )
-from jaxcrumple.model.contact import SelfContact
-from jaxcrumple.model.loads import ElementEnergy, Gravity, LinearMotion, Prescribed
-from jaxcrumple.model.plasticity import AbstractFlowRule, SmoothstepFlow
-from jaxcrumple.model.scene import Scene, sheet
-from jaxcrumple.presets import PRESETS, preset
-from jaxcrumple.remesh import remeshed
-from jaxcrumple.renewal import with_contacts
 from jaxcrumple.replay import Record, Replay, replay
-from jaxcrumple.run import resume_run, start_run
-from jaxcrumple.scene_file import read_scene_file, write_scene_file
+from jaxcrumple.run.config import ConfigError, configure
+from jaxcrumple.run.run import resume_run, start_run
+from jaxcrumple.run.scene_file import read_scene_file, write_scene_file
+from jaxcrumple.scene import Scene, sheet
 from jaxcrumple.scenes import (
     Setup,
     arch,
@@ -57,10 +56,11 @@ from jaxcrumple.scenes import (
     unload,
 )
 from jaxcrumple.simulate import SimulationError, Solution, frame_times, simulate
+from jaxcrumple.solvers.contact.reallocate import with_contacts
 from jaxcrumple.solvers.integrate import integrate
+from jaxcrumple.solvers.linear.solve import linear_solve
 from jaxcrumple.solvers.relax import relax
 from jaxcrumple.solvers.scheme import Integrator, integrator
-from jaxcrumple.solvers.solve import linear_solve
 from jaxcrumple.solvers.switch import Switch
 from jaxcrumple.state import RESULTS, State, initial_state
 from jaxcrumple.sweep import campaign, grid, sweep

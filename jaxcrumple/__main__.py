@@ -1,6 +1,6 @@
 """`python -m jaxcrumple`: the command line."""
 
-from jaxcrumple.cli import main
+from jaxcrumple.cli.cli import main
 
 if __name__ == "__main__":
     main()

@@ -11,20 +11,20 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from jaxcrumple.memory import require, require_run
-from jaxcrumple.model.door import door
-from jaxcrumple.model.fields import as_float, is_number, require_limit
+from jaxcrumple._jax.door import door
+from jaxcrumple._jax.memory import require, require_run
+from jaxcrumple._jax.program_cache import make_room
+from jaxcrumple._jax.threads import limited_blas
+from jaxcrumple._jax.tree import as_float, is_number, require_limit
 from jaxcrumple.model.loads import check_motion
-from jaxcrumple.model.scene import Scene
-from jaxcrumple.programs import make_room
-from jaxcrumple.renewal import Renewal
 from jaxcrumple.replay.record import Record, Recorder
+from jaxcrumple.scene import Scene
+from jaxcrumple.solvers.contact.reallocate import Renewal
 from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.log import AFTER, BEFORE, ENERGIES, EVENT_COLUMNS, Log, Row
 from jaxcrumple.solvers.scheme import Integrator, checked_solver, integrator
-from jaxcrumple.start import check_gap, check_start, pierced
+from jaxcrumple.solvers.start import check_gap, check_start, pierced
 from jaxcrumple.state import CAUSES, EXPLICIT, IMPLICIT, QUASISTATIC, RESULTS, STAGES, State, check_state
-from jaxcrumple.threads import limited_blas
 
 # Seconds between reports to observers where calls of `integrate` are shorter.
 CHUNK = 1.0

@@ -8,13 +8,13 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxcrumple.memory import require
-from jaxcrumple.model.contact import Contact
-from jaxcrumple.model.door import door
-from jaxcrumple.model.fields import as_float, is_known, require_finite
+from jaxcrumple._jax.door import door
+from jaxcrumple._jax.memory import require
+from jaxcrumple._jax.tree import as_float, is_known, require_finite
+from jaxcrumple.contact.energy import Contact
+from jaxcrumple.contact.lists import Around, nowhere
 from jaxcrumple.model.loads import check_supported
-from jaxcrumple.model.near import Around, nowhere
-from jaxcrumple.model.scene import Scene, check_scene
+from jaxcrumple.scene import Scene, check_scene
 
 # Reach in ranges of the first list of sites at most, and of the first places in the matrix at least.
 FIRST, FIRST_PLACED = 0.25, 0.75

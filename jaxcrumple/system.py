@@ -9,11 +9,11 @@ import scipy.sparse as sparse
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxcrumple.model.door import door
-from jaxcrumple.model.fields import as_float, require_shape
-from jaxcrumple.model.geometry import Hinge, curvature
+from jaxcrumple._jax.door import door
+from jaxcrumple._jax.tree import as_float, require_shape
+from jaxcrumple.geometry.hinge import Hinge, curvature
 from jaxcrumple.model.plasticity import implicit_update
-from jaxcrumple.model.scene import Scene, require_scene
+from jaxcrumple.scene import Scene, require_scene
 from jaxcrumple.state import ImplicitStep, State, check_state
 
 

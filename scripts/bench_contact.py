@@ -20,15 +20,15 @@ from benchlib import markdown, options, paired, parts_of_a_step, recorded, save,
 from matplotlib.figure import Figure
 
 from jaxcrumple import integrator
-from jaxcrumple.model.grid import find_candidates
-from jaxcrumple.model.intersections import intersections
-from jaxcrumple.model.neighbors import find_near
-from jaxcrumple.model.scene import Scene
-from jaxcrumple.renewal import Renewal, with_contacts
-from jaxcrumple.solvers.newton import FORCING
+from jaxcrumple._jax.threads import limited_blas
+from jaxcrumple.contact.broad_phase import find_candidates
+from jaxcrumple.contact.narrow_phase import find_near
+from jaxcrumple.geometry.intersections import intersections
+from jaxcrumple.scene import Scene
+from jaxcrumple.solvers.contact.reallocate import Renewal, with_contacts
+from jaxcrumple.solvers.implicit.newton import FORCING
 from jaxcrumple.state import State
 from jaxcrumple.system import linearize
-from jaxcrumple.threads import limited_blas
 
 # Times of the states in s: R = 7.1 cm - 1 cm/s t.
 TIMES = (0.05, 0.8, 1.6, 2.4, 3.1, 3.7)

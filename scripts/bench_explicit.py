@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 
 from jaxcrumple import cylindrical, initial_state, integrator, simulate
 from jaxcrumple.scenes import Setup
-from jaxcrumple.solvers.runge_kutta import RungeKutta
-from jaxcrumple.solvers.verlet import Verlet
+from jaxcrumple.solvers.explicit.runge_kutta import RungeKutta
+from jaxcrumple.solvers.explicit.verlet import Verlet
 from jaxcrumple.state import EXPLICIT, State
 
 METHODS = {"RK 4(3)": RungeKutta, "Verlet": Verlet}

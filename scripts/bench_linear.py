@@ -34,11 +34,11 @@ from benchlib import (
 )
 from matplotlib.figure import Figure
 
-from jaxcrumple import threads
-from jaxcrumple.solvers.block_cg import BlockCG
-from jaxcrumple.solvers.choice import direct_available
-from jaxcrumple.solvers.direct import Direct
-from jaxcrumple.solvers.two_level import TwoLevel
+from jaxcrumple._jax import threads
+from jaxcrumple.solvers.linear.block_jacobi import BlockCG
+from jaxcrumple.solvers.linear.direct import Direct
+from jaxcrumple.solvers.linear.registry import direct_available
+from jaxcrumple.solvers.linear.two_level import TwoLevel
 from jaxcrumple.system import elastic_tangent, linearize
 
 # Block sizes of the paper's method. The largest meshes run the first, close to the best at every size.

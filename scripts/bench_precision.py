@@ -18,7 +18,7 @@ from benchlib import RTOLS, STATES, Log, markdown, options, recorded, save, time
 from matplotlib.figure import Figure
 
 from jaxcrumple import cap, frame_times, initial_state, integrator, radial, simulate
-from jaxcrumple.model.scene import Scene
+from jaxcrumple.scene import Scene
 from jaxcrumple.state import State
 
 # Schemes with their linear solvers; None is the scheme's own.

@@ -34,10 +34,10 @@ from benchlib import (
 from matplotlib.figure import Figure
 
 from jaxcrumple import integrator
-from jaxcrumple.model.scene import Scene
+from jaxcrumple._jax.threads import limited_blas
+from jaxcrumple.scene import Scene
 from jaxcrumple.state import State
 from jaxcrumple.system import linearize, residual
-from jaxcrumple.threads import limited_blas
 
 STEPS = 50
 # Those whose steps are implicit, with inertia and without.

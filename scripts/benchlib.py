@@ -23,8 +23,8 @@ from scipy.interpolate import CloughTocher2DInterpolator
 jax.config.update("jax_enable_x64", True)
 
 from jaxcrumple import Integrator, Solution, initial_state, integrator, radial, simulate  # noqa: E402
-from jaxcrumple.model.geometry import curvature  # noqa: E402
-from jaxcrumple.model.scene import Scene  # noqa: E402
+from jaxcrumple.geometry.hinge import curvature  # noqa: E402
+from jaxcrumple.scene import Scene  # noqa: E402
 from jaxcrumple.state import ImplicitStep, State  # noqa: E402
 from jaxcrumple.system import energies, linearize, residual  # noqa: E402
 

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 import jaxcrumple as jc
 from jaxcrumple.io import RunDirectory
 from jaxcrumple.measure import crease_length, wall_force
-from jaxcrumple.run import stored_config
+from jaxcrumple.run.run import stored_config
 from jaxcrumple.sweep import campaign, grid
 
 MEASURED = ("crease m", "energy mJ", "force N")

@@ -18,9 +18,9 @@ from pathlib import Path
 
 from benchlib import Log, markdown, options, save
 
-from jaxcrumple.config import RunConfig, configure
-from jaxcrumple.estimate import estimate
-from jaxcrumple.run import start_run
+from jaxcrumple.run.config import RunConfig, configure
+from jaxcrumple.run.estimate import estimate
+from jaxcrumple.run.run import start_run
 
 NODES, BUILT, T_END = (300, 1000, 3000), (30_000, 100_000), 0.6
 CONTACTS = ("none", "penalty")

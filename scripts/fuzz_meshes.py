@@ -19,7 +19,7 @@ import numpy as np
 from mesh_dialects import REFUSED, SURFACES
 
 from jaxcrumple import Mesh, MeshError
-from jaxcrumple.mesh_files import MeshWarning
+from jaxcrumple.mesh.files import MeshWarning
 
 OTHERS = b"0123456789- .\n\xff\0e"  # bytes that a damage puts in the place of others
 SECONDS, MEMORY = 5.0, 2 << 30

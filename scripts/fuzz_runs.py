@@ -31,13 +31,13 @@ import numpy as np
 
 jax.config.update("jax_enable_x64", True)
 
-from jaxcrumple import run as runs  # noqa: E402
-from jaxcrumple.config import RunConfig, configure  # noqa: E402
 from jaxcrumple.io import RunDirectory, RunDirectoryError, load  # noqa: E402
 from jaxcrumple.io.lock import writing  # noqa: E402
 from jaxcrumple.io.rundir import frame_name  # noqa: E402
 from jaxcrumple.io.table import Table  # noqa: E402
 from jaxcrumple.io.verify import damages  # noqa: E402
+from jaxcrumple.run import run as runs  # noqa: E402
+from jaxcrumple.run.config import RunConfig, configure  # noqa: E402
 
 SNAP = ["contact=none", "sweeps=5", "frames=6", "yield_curvature=20", "plastic_time=1e-2", "rtol=1e-2"]
 SCENES: dict[str, Callable[[], RunConfig]] = {

@@ -20,7 +20,7 @@ from benchlib import markdown, options, save
 from jax import Array
 
 import jaxcrumple as jc
-from jaxcrumple.model.scene import Scene
+from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import State
 

@@ -22,8 +22,8 @@ def run(count: int, settings: list[str]) -> None:
 
     jax.config.update("jax_enable_x64", True)
     from jaxcrumple import initial_state, simulate
-    from jaxcrumple.config import configure
-    from jaxcrumple.programs import resident
+    from jaxcrumple._jax.program_cache import resident
+    from jaxcrumple.run.config import configure
 
     for index in range(count):
         config = configure("radial", nodes=FIRST + MORE * index, settings=settings)

@@ -31,8 +31,8 @@ from matplotlib.figure import Figure
 from scipy.stats import qmc
 
 from jaxcrumple import Solution, initial_state, simulate
-from jaxcrumple.config import RunConfig, configure
 from jaxcrumple.measure import count_intersections
+from jaxcrumple.run.config import RunConfig, configure
 from jaxcrumple.scenes import Setup
 from jaxcrumple.scenes.sheets import smooth_imperfection
 from jaxcrumple.simulate import explain

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from jaxcrumple.model.distance import CORNERS, EDGES, ENDS
-from jaxcrumple.model.intersections import pierces
+from jaxcrumple.geometry.distance import CORNERS, EDGES, ENDS
+from jaxcrumple.geometry.intersections import pierces
 
 SIGMA = 0.25e-3
 

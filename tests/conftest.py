@@ -51,8 +51,8 @@ def _forgotten_programs():
 @pytest.fixture(autouse=True)
 def _enough_memory(monkeypatch):
     """Estimates of memory are held against the same limit on all machines; a file keeps its programs."""
-    monkeypatch.setattr("jaxcrumple.memory.memory_limit", lambda: 64 * 10**9)
-    monkeypatch.setattr("jaxcrumple.programs.GROWTH", 4e9)
+    monkeypatch.setattr("jaxcrumple._jax.memory.memory_limit", lambda: 64 * 10**9)
+    monkeypatch.setattr("jaxcrumple._jax.program_cache.GROWTH", 4e9)
 
 
 @pytest.fixture

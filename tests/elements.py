@@ -7,10 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxcrumple.model import bending, geometry
+from jaxcrumple.geometry import hinge as geometry
+from jaxcrumple.model import bending
 from jaxcrumple.model.bending import Bending
+from jaxcrumple.model.elements import upper_pairs
 from jaxcrumple.model.plasticity import implicit_update
-from jaxcrumple.model.stencil import upper_pairs
 
 HINGES, EDGES = 400, 300  # all hinge tests but one use this many: one compilation serves them all
 RTOL = 1e-9

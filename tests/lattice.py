@@ -4,10 +4,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxcrumple.material import Material
-from jaxcrumple.meshgen import hexagonal
+from jaxcrumple.material.material import Material
+from jaxcrumple.mesh.generate import hexagonal
 from jaxcrumple.model.loads import LinearMotion, Prescribed
-from jaxcrumple.model.scene import sheet
+from jaxcrumple.scene import sheet
 from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.scheme import integrator
 from jaxcrumple.solvers.switch import Switch

@@ -5,8 +5,8 @@ import copy
 import numpy as np
 import tomlkit
 
-from jaxcrumple.config import RunConfig, complete
-from jaxcrumple.scene_file import plain
+from jaxcrumple.run.config import RunConfig, complete
+from jaxcrumple.run.scene_file import plain
 from jaxcrumple.scenes import SCENES
 
 CONTACT = {"contact": ["penalty", "barrier", "none"], "damping": ["central", "paper"]}

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from jaxcrumple.mesh import Mesh
+from jaxcrumple.mesh.mesh import Mesh
 
 RADIUS = 0.03
 

@@ -21,7 +21,8 @@ from elements import (
     random_edges,
 )
 
-from jaxcrumple.model import damping, geometry, membrane
+from jaxcrumple.geometry import hinge as geometry
+from jaxcrumple.model import damping, membrane
 from jaxcrumple.model.damping import PaperDashpot
 from jaxcrumple.model.membrane import Membrane
 

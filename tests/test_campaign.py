@@ -14,7 +14,7 @@ import psutil
 import pytest
 
 import jaxcrumple as jc
-from jaxcrumple.run import start_run
+from jaxcrumple.run.run import start_run
 from jaxcrumple.sweep import cluster
 from jaxcrumple.sweep.campaign import run_missing
 from jaxcrumple.sweep.cluster import connected

@@ -8,7 +8,7 @@ from folded import strip
 from scipy.spatial.distance import pdist
 
 import jaxcrumple as jc
-from jaxcrumple.model.chart import build_chart
+from jaxcrumple.contact.flatness import build_chart
 from jaxcrumple.state import IMPLICIT
 
 SIDE, ANGLE = 0.1, 1.0

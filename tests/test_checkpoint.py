@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from jaxcrumple.io import CheckpointError, load_checkpoint, save_checkpoint
-from jaxcrumple.material import Material
-from jaxcrumple.meshgen import hexagonal
-from jaxcrumple.model.scene import sheet
+from jaxcrumple.material.material import Material
+from jaxcrumple.mesh.generate import hexagonal
+from jaxcrumple.scene import sheet
 from jaxcrumple.state import RESULTS, initial_state
 
 

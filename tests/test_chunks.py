@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxcrumple.model.chunks import accumulate, filled
+from jaxcrumple._jax.padded import accumulate, filled
 
 
 @pytest.mark.parametrize("count", [0, 1, 100, 999, 1000])

@@ -17,11 +17,11 @@ import pytest
 from pictures import colors
 
 import jaxcrumple
-from jaxcrumple import cli
-from jaxcrumple.config import configure
+from jaxcrumple.cli import cli
 from jaxcrumple.io import RunDirectory, RunDirectoryError
 from jaxcrumple.io.checkpoint import read_metadata
-from jaxcrumple.run import resume_run, start_run
+from jaxcrumple.run.config import configure
+from jaxcrumple.run.run import resume_run, start_run
 
 SETTINGS = ["frames=2", "contact=none", "scheme=alternating", "rtol=1e-4", "sweeps=5", "drag_rate=2300"]
 SMALL = ["--nodes", "60", "--t-end", "0.02", *(word for item in SETTINGS for word in ("--set", item))]
@@ -30,7 +30,7 @@ CONFIG = configure("radial", nodes=60, t_end=0.02, settings=SETTINGS)
 
 def command(*arguments):
     """The program in a process of its own, as a user starts it."""
-    program = [sys.executable, "-c", "from jaxcrumple.cli import main; main()"]
+    program = [sys.executable, "-c", "from jaxcrumple.cli.cli import main; main()"]
     return subprocess.run([*program, *map(str, arguments)], capture_output=True, text=True, timeout=1800)
 
 
@@ -128,7 +128,7 @@ def test_summary_tells_the_run(finished):
     for name in ("compile_s", "run_s", "cpu_s"):
         assert 0 < summary[name] < 300, name
     assert 100 < summary["peak_memory_mb"] < 10_000
-    assert summary["versions"]["jax"] == jaxcrumple.run.importlib.metadata.version("jax")
+    assert summary["versions"]["jax"] == jaxcrumple.run.run.importlib.metadata.version("jax")
 
 
 def test_run_is_read_back(finished):
@@ -179,7 +179,7 @@ def test_an_interrupted_run_says_how_to_go_on(tmp_path, monkeypatch, capsys):
         (folder / "run.json").touch()
         signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr("jaxcrumple.run.start_run", interrupt)
+    monkeypatch.setattr("jaxcrumple.run.run.start_run", interrupt)
     monkeypatch.setattr(sys, "argv", ["jaxcrumple", "run", "radial", "--out", str(tmp_path / "out")])
     with pytest.raises(SystemExit) as caught:
         cli.main()
@@ -356,7 +356,7 @@ def test_resuming_a_finished_run_changes_nothing(copy):
 @pytest.mark.parametrize("lost", ["summary.json", "run.vtkhdf"])
 def test_an_ending_that_is_lost_is_written_again(copy, lost, monkeypatch):
     """Without a simulation: the last checkpoint holds all there is to tell."""
-    monkeypatch.delattr(jaxcrumple.run, "simulate")
+    monkeypatch.delattr(jaxcrumple.run.run, "simulate")
     before = contents(copy)
     (copy / lost).unlink()
     summary = resume_run(copy)

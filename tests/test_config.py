@@ -6,14 +6,14 @@ import equinox as eqx
 import numpy as np
 import pytest
 
-from jaxcrumple import run
-from jaxcrumple.check import check_built
-from jaxcrumple.config import ConfigError, RunConfig, configure
 from jaxcrumple.io import RunDirectoryError
-from jaxcrumple.material import Material
+from jaxcrumple.material.material import Material
+from jaxcrumple.run import run
+from jaxcrumple.run.check import check_built
+from jaxcrumple.run.config import ConfigError, RunConfig, configure
 from jaxcrumple.scenes import SCENES
-from jaxcrumple.solvers.block_cg import BlockCG
-from jaxcrumple.solvers.pair import BDFPair
+from jaxcrumple.solvers.implicit.bdf_pair import BDFPair
+from jaxcrumple.solvers.linear.block_jacobi import BlockCG
 from jaxcrumple.solvers.scheme import SCHEMES, integrator
 
 # Settings and what the message about them must say.

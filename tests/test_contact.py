@@ -8,7 +8,7 @@ import pytest
 from elements import assert_close, gradients, hessians, rotations
 from scipy.optimize import brentq
 
-from jaxcrumple.model import contact
+from jaxcrumple.contact import energy as contact
 
 
 def contact_data(count=200):

@@ -11,10 +11,10 @@ import pytest
 from folded import folded, strip
 
 import jaxcrumple as jc
+from jaxcrumple.contact.ccd import touches
+from jaxcrumple.geometry.distance import primitive_distances
+from jaxcrumple.geometry.intersections import intersections
 from jaxcrumple.measure import count_intersections
-from jaxcrumple.model.crossing import touches
-from jaxcrumple.model.distance import primitive_distances
-from jaxcrumple.model.intersections import intersections
 
 SIGMA = ccd_queries.SIGMA
 

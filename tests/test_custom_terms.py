@@ -7,11 +7,11 @@ import numpy as np
 from jax import Array
 from lattice import elastic, held, lattice
 
-from jaxcrumple.meshgen import rectangle
-from jaxcrumple.model.geometry import curvature
+from jaxcrumple.geometry.hinge import curvature
+from jaxcrumple.mesh.generate import rectangle
 from jaxcrumple.model.loads import ElementEnergy
 from jaxcrumple.model.plasticity import AbstractFlowRule
-from jaxcrumple.model.scene import sheet
+from jaxcrumple.scene import sheet
 from jaxcrumple.simulate import simulate
 from jaxcrumple.solvers.relax import relax
 from jaxcrumple.solvers.scheme import integrator

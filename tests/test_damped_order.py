@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxcrumple import Material, initial_state, radial, simulate
-from jaxcrumple.solvers.bdf import REACH, coefficients, damped_order
+from jaxcrumple.solvers.implicit.bdf import REACH, coefficients, damped_order
 from jaxcrumple.solvers.scheme import integrator
 from jaxcrumple.state import HISTORY
 

@@ -10,7 +10,7 @@ from lattice import SPACING, advance, constants, elastic, held, lattice, run, so
 
 import jaxcrumple as jc
 from jaxcrumple.model.loads import ElementEnergy
-from jaxcrumple.model.scene import sheet
+from jaxcrumple.scene import sheet
 from jaxcrumple.simulate import simulate
 from jaxcrumple.solvers.scheme import integrator
 from jaxcrumple.state import EXPLICIT, IMPLICIT, QUASISTATIC, initial_state

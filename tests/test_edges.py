@@ -15,14 +15,14 @@ import pytest
 from rich.console import Console
 
 import jaxcrumple as jc
-from jaxcrumple import cli, console
-from jaxcrumple.config import configure
-from jaxcrumple.console import OutputLostError, Stopped, noted, run_program, say
+from jaxcrumple.cli import cli, console
+from jaxcrumple.cli.console import OutputLostError, Stopped, noted, run_program, say
+from jaxcrumple.options.toml import DEEPEST, LARGEST, read_toml
+from jaxcrumple.run.config import configure
 from jaxcrumple.sweep.cluster import WorkersLostError
-from jaxcrumple.toml import DEEPEST, LARGEST, read_toml
 
 PACKAGE = Path(jc.__file__).parent
-ENTRY = PACKAGE / "entry.py"
+ENTRY = PACKAGE / "cli" / "entry.py"
 RUN = ["radial", "--nodes", "40", "--t-end", "0.02", "--set", "contact=none"]
 
 
@@ -195,7 +195,7 @@ def test_a_stopped_run_says_how_to_go_on(ended, monkeypatch, tmp_path, begun, wo
             (folder / "run.json").touch()
         signal.raise_signal(signal.SIGTERM)
 
-    monkeypatch.setattr("jaxcrumple.run.start_run", start)
+    monkeypatch.setattr("jaxcrumple.run.run.start_run", start)
     arguments = ["run", *RUN, "--out", str(out), "--max-seconds", "1.5 min"]
     code, text = ended(lambda: cli.app(arguments))
     assert code == 143

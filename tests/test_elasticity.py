@@ -8,8 +8,8 @@ import pytest
 from lattice import CELL, ROW, SPACING, angle_rotation, constants, elastic, held, lattice
 from scipy.optimize import brentq
 
-from jaxcrumple.mesh import Mesh
-from jaxcrumple.model.scene import sheet
+from jaxcrumple.mesh.mesh import Mesh
+from jaxcrumple.scene import sheet
 from jaxcrumple.solvers.relax import relax
 from jaxcrumple.state import initial_state
 from jaxcrumple.system import tangent

@@ -8,8 +8,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from jaxcrumple import measure
-from jaxcrumple.mesh import Mesh
-from jaxcrumple.meshgen import disc, hexagonal, rectangle
+from jaxcrumple.mesh.generate import disc, hexagonal, rectangle
+from jaxcrumple.mesh.mesh import Mesh
 
 SIZE = 0.1
 SIZES = (1000, 3000)

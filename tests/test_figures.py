@@ -9,10 +9,10 @@ from pictures import colors
 from typer.testing import CliRunner
 
 import jaxcrumple as jc
-from jaxcrumple.cli import app
-from jaxcrumple.figures import FIGURES, Figure, axial, fold, make_figure, order, panels, radial
-from jaxcrumple.figures.panels import frames_at, moments, plot_moments, table_of
+from jaxcrumple.cli.cli import app
 from jaxcrumple.io import Run
+from jaxcrumple.paper import FIGURES, Figure, axial, fold, make_figure, order, panels, radial
+from jaxcrumple.paper.panels import frames_at, moments, plot_moments, table_of
 from jaxcrumple.scenes.fold import TIMES
 from jaxcrumple.solvers.log import STEP
 

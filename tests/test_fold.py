@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 import jaxcrumple as jc
-from jaxcrumple.cli import app
+from jaxcrumple.cli.cli import app
 from jaxcrumple.scenes.fold import GRIP, TIMES
 
 

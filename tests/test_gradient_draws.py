@@ -8,7 +8,7 @@ import pytest
 from folded import folded, strip
 
 import jaxcrumple as jc
-from jaxcrumple.model.geometry import curvature
+from jaxcrumple.geometry.hinge import curvature
 from jaxcrumple.replay.step import Point
 from jaxcrumple.state import HISTORY, implicit_step
 from jaxcrumple.system import residual, rest_curvature

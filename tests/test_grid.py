@@ -11,12 +11,12 @@ from folded import folded, strip
 from test_lists import moving_layers
 
 import jaxcrumple as jc
-from jaxcrumple.model.distance import primitive_distances
-from jaxcrumple.model.fans import DUE_TURN, LISTED_TURN
-from jaxcrumple.model.geometry import gather
-from jaxcrumple.model.grid import find_candidates
-from jaxcrumple.model.near import Around, no_candidates
-from jaxcrumple.model.search import Search, _tree_pairs
+from jaxcrumple.contact.adjacency import DUE_TURN, LISTED_TURN
+from jaxcrumple.contact.broad_phase import find_candidates
+from jaxcrumple.contact.host_broad_phase import Search, _tree_pairs
+from jaxcrumple.contact.lists import Around, no_candidates
+from jaxcrumple.geometry.distance import primitive_distances
+from jaxcrumple.geometry.hinge import gather
 
 SIGMA = 0.5e-3
 
@@ -136,7 +136,7 @@ def test_when_lists_are_made_changes_no_bit(monkeypatch):
     usual = jc.simulate(scene, state, 1.0, solver=solver, max_attempts=900).state
     assert not np.array_equal(usual.listing.candidates.x, state.listing.candidates.x)
     for name, value in (("SEVERAL", 1.0), ("STEPS", 4.0)):
-        monkeypatch.setattr(f"jaxcrumple.solvers.lists.{name}", value)
+        monkeypatch.setattr(f"jaxcrumple.solvers.contact.schedule.{name}", value)
     own = eqx.filter_jit(lambda *arguments: jc.integrate(*arguments))
     monkeypatch.setattr(importlib.import_module("jaxcrumple.simulate"), "_integrate", own)
     often = jc.simulate(scene, state, 1.0, solver=solver, max_attempts=900).state

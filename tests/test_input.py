@@ -26,8 +26,8 @@ from jaxcrumple import (
     simulate,
     with_contacts,
 )
-from jaxcrumple.meshgen import rectangle
-from jaxcrumple.solvers.choice import direct_available
+from jaxcrumple.mesh.generate import rectangle
+from jaxcrumple.solvers.linear.registry import direct_available
 
 MESH = rectangle(0.1, 0.1, 40, sweeps=3)
 MATERIAL = Material()

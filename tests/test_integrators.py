@@ -11,9 +11,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from jaxcrumple.solvers import bdf
-from jaxcrumple.solvers.implicit import GROWTH
-from jaxcrumple.solvers.runge_kutta import RK43
+from jaxcrumple.solvers.explicit.runge_kutta import RK43
+from jaxcrumple.solvers.implicit import bdf
+from jaxcrumple.solvers.implicit.base import GROWTH
 from jaxcrumple.state import HISTORY, History
 
 # --- BDF: coefficients ---------------------------------------------------------------------------

@@ -18,8 +18,8 @@ from jaxcrumple.io.atomic import to_json, write_bytes
 from jaxcrumple.io.lock import writing
 from jaxcrumple.io.manifest import sealed, unsealed
 from jaxcrumple.io.verify import check_sound, damages, go_back
-from jaxcrumple.mesh import Mesh
-from jaxcrumple.meshgen import hexagonal, rectangle
+from jaxcrumple.mesh.generate import hexagonal, rectangle
+from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.solvers.log import EVENT_COLUMNS, Row
 
 COLUMNS = list(Row._fields)

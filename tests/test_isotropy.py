@@ -6,7 +6,7 @@ from mesh_dialects import QUADS, obj
 
 import jaxcrumple as jc
 from jaxcrumple import Mesh, MeshError, MeshWarning, patch_test, remeshed
-from jaxcrumple.remesh import boundary_loops
+from jaxcrumple.mesh.remesh import boundary_loops
 
 
 def lattice(count, one=(1.0, 0.0), two=(0.0, 1.0), keep=lambda i, j: True):
@@ -185,7 +185,7 @@ def test_a_scene_of_a_file_warns_and_remeshes(tmp_path):
 
 
 def test_check_says_how_stiff_the_mesh_of_a_file_is(tmp_path):
-    from jaxcrumple.check import described
+    from jaxcrumple.run.check import described
 
     lattice(6, one=(0.01, 0), two=(0, 0.01)).save(tmp_path / "a.ply")
     options = {"sheet": {"shape": "file", "path": str(tmp_path / "a.ply")}}

@@ -25,7 +25,8 @@ from elements import (
     update,
 )
 
-from jaxcrumple.model import bending, geometry
+from jaxcrumple.geometry import hinge as geometry
+from jaxcrumple.model import bending
 from jaxcrumple.model.bending import Bending
 from jaxcrumple.model.damping import CentralDashpot, PaperDashpot
 from jaxcrumple.model.plasticity import SmoothstepFlow, implicit_update

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxcrumple.model.lanes import where_needed
+from jaxcrumple._jax.batched_cond import where_needed
 
 
 @pytest.fixture

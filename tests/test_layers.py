@@ -7,7 +7,7 @@ from shapes import RADIUS, icosphere
 
 from jaxcrumple import measure
 from jaxcrumple.measure.layers import crossings, parallel_crossings
-from jaxcrumple.meshgen import hexagonal, rectangle
+from jaxcrumple.mesh.generate import hexagonal, rectangle
 
 GAP, PLATE, PLATES = 1e-3, 0.02, 5
 

@@ -11,19 +11,19 @@ import scipy.sparse as sparse
 from lattice import elastic, held, lattice
 from scipy.sparse.linalg import spsolve
 
-from jaxcrumple.material import Material
-from jaxcrumple.meshgen import rectangle
-from jaxcrumple.model.confinement import Ramp, Sphere
-from jaxcrumple.model.pattern import build_pattern
-from jaxcrumple.model.scene import sheet
-from jaxcrumple.model.stencil import upper_pairs
-from jaxcrumple.solvers import choice
-from jaxcrumple.solvers.block_cg import BlockCG
-from jaxcrumple.solvers.choice import choose_linear_solver, direct_available
-from jaxcrumple.solvers.direct import Direct
+from jaxcrumple.assembly.sparsity import build_pattern
+from jaxcrumple.material.material import Material
+from jaxcrumple.mesh.generate import rectangle
+from jaxcrumple.model.elements import upper_pairs
+from jaxcrumple.model.walls import Ramp, Sphere
+from jaxcrumple.scene import sheet
+from jaxcrumple.solvers.linear import registry
+from jaxcrumple.solvers.linear.block_jacobi import BlockCG
+from jaxcrumple.solvers.linear.direct import Direct
+from jaxcrumple.solvers.linear.registry import choose_linear_solver, direct_available
+from jaxcrumple.solvers.linear.solve import linear_solve
+from jaxcrumple.solvers.linear.two_level import TwoLevel
 from jaxcrumple.solvers.relax import relax
-from jaxcrumple.solvers.solve import linear_solve
-from jaxcrumple.solvers.two_level import TwoLevel
 from jaxcrumple.state import initial_state
 from jaxcrumple.system import elastic_tangent, tangent
 
@@ -353,10 +353,10 @@ def test_choice_of_solver(monkeypatch):
     with pytest.raises(ValueError, match="'lu' is unknown; choose one of auto, direct, two-level, block-cg"):
         choose_linear_solver("lu")
     assert isinstance(choose_linear_solver("block-cg"), BlockCG)
-    monkeypatch.setattr(choice, "direct_available", lambda: True)
+    monkeypatch.setattr(registry, "direct_available", lambda: True)
     assert isinstance(choose_linear_solver("auto"), Direct)
     assert isinstance(choose_linear_solver("direct"), Direct)
-    monkeypatch.setattr(choice, "direct_available", lambda: False)
+    monkeypatch.setattr(registry, "direct_available", lambda: False)
     assert isinstance(choose_linear_solver("auto"), TwoLevel)
     assert isinstance(choose_linear_solver("two-level"), TwoLevel)
     with pytest.raises(ValueError, match=r"needs the extra, pip install 'jaxcrumple\[direct\]'"):

@@ -10,12 +10,12 @@ import pytest
 from folded import folded, strip
 
 import jaxcrumple as jc
-from jaxcrumple.model.fans import PLACED_TURN
-from jaxcrumple.model.geometry import curvature
-from jaxcrumple.model.near import Around, Room, pair_key
-from jaxcrumple.model.search import Search
-from jaxcrumple.renewal import PLACES, Renewal, _with_candidates, _with_room
-from jaxcrumple.solvers.lists import largest_move, ready_for, renewed, start_lists
+from jaxcrumple.contact.adjacency import PLACED_TURN
+from jaxcrumple.contact.host_broad_phase import Search
+from jaxcrumple.contact.lists import Around, Room, pair_key
+from jaxcrumple.geometry.hinge import curvature
+from jaxcrumple.solvers.contact.reallocate import PLACES, Renewal, _with_candidates, _with_room
+from jaxcrumple.solvers.contact.schedule import largest_move, ready_for, renewed, start_lists
 from jaxcrumple.solvers.log import empty_log
 from jaxcrumple.state import EXPLICIT, IMPLICIT
 
@@ -100,8 +100,8 @@ def test_lists_with_room_for_one_grow_and_change_no_bit(monkeypatch):
     scene, state = pressed_layers()
     roomy = jc.simulate(scene, state, 1.0, max_attempts=48).state
     for name in ("CANDIDATES_PER_NODE", "LEAST_CANDIDATES"):
-        monkeypatch.setattr(f"jaxcrumple.renewal.{name}", 0)
-    monkeypatch.setattr("jaxcrumple.renewal.first_room", lambda n: Room(1, 1, 1))
+        monkeypatch.setattr(f"jaxcrumple.solvers.contact.reallocate.{name}", 0)
+    monkeypatch.setattr("jaxcrumple.solvers.contact.reallocate.first_room", lambda n: Room(1, 1, 1))
     # They are filled before the run compiles, with room to spare.
     once = eqx.filter_jit(eqx.debug.assert_max_traces(jc.integrate, max_traces=1))
     monkeypatch.setattr(importlib.import_module("jaxcrumple.simulate"), "_integrate", once)

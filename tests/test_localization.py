@@ -5,9 +5,9 @@ import pytest
 from shapes import RADIUS, icosphere, rolled
 
 from jaxcrumple import measure
-from jaxcrumple.material import Material
-from jaxcrumple.mesh import Mesh
-from jaxcrumple.meshgen import hexagonal
+from jaxcrumple.material.material import Material
+from jaxcrumple.mesh.generate import hexagonal
+from jaxcrumple.mesh.mesh import Mesh
 
 SPACING, ROWS = 1e-3, 12
 ROW = np.sqrt(3) / 2 * SPACING

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import jaxcrumple as jc
-from jaxcrumple.material import MAX_C0, Material
-from jaxcrumple.meshgen import hexagonal, rectangle
+from jaxcrumple.material.material import MAX_C0, Material
+from jaxcrumple.mesh.generate import hexagonal, rectangle
 
 
 def test_constants_of_the_papers_sheet():

@@ -6,10 +6,10 @@ import pytest
 from shapes import RADIUS, icosphere, rolled, single_hinge
 
 from jaxcrumple import measure
-from jaxcrumple.mesh import Mesh
-from jaxcrumple.meshgen import hexagonal, rectangle
+from jaxcrumple.geometry.hinge import gather, hinge_angle
+from jaxcrumple.mesh.generate import hexagonal, rectangle
+from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.model.bending import Bending
-from jaxcrumple.model.geometry import gather, hinge_angle
 from jaxcrumple.model.membrane import Membrane
 
 

@@ -8,8 +8,8 @@ import meshio
 import numpy as np
 import pytest
 
-from jaxcrumple.mesh import FILE_FORMATS, Mesh, MeshError, _hilbert_index
-from jaxcrumple.meshgen import hexagonal, rectangle
+from jaxcrumple.mesh.generate import hexagonal, rectangle
+from jaxcrumple.mesh.mesh import FILE_FORMATS, Mesh, MeshError, _hilbert_index
 
 SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
 TWO = np.array([[0, 1, 2], [0, 2, 3]])

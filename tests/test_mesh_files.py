@@ -11,9 +11,9 @@ from mesh_dialects import ANGLE, POINTS, QUADS, REFUSED, SURFACES, TRIANGLES, ob
 
 import jaxcrumple as jc
 from jaxcrumple import Mesh, MeshError
-from jaxcrumple.mesh_files import MeshWarning, read_surface
-from jaxcrumple.mesh_files.polygons import triangulated
-from jaxcrumple.mesh_files.surface import surface_of
+from jaxcrumple.mesh.files import MeshWarning, read_surface
+from jaxcrumple.mesh.files.polygons import triangulated
+from jaxcrumple.mesh.files.surface import surface_of
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def test_refuses_what_holds_none_with_cause_and_cure(tmp_path, name):
     fuzz_meshes.check_refusal(tmp_path, name)
 
 
-@pytest.mark.filterwarnings("ignore::jaxcrumple.mesh_files.MeshWarning")
+@pytest.mark.filterwarnings("ignore::jaxcrumple.mesh.files.MeshWarning")
 @pytest.mark.parametrize(
     "name", ["plain.obj", "mixed.ply", "texture_big.ply", "binary_data.vtk", "binary.stl"]
 )

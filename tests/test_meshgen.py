@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull, Voronoi
 
-from jaxcrumple.meshgen import centroids, disc, hexagonal, rectangle
+from jaxcrumple.mesh.generate import centroids, disc, hexagonal, rectangle
 
 
 def angles(mesh):

@@ -9,11 +9,11 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import jaxcrumple as jc
-from jaxcrumple.model.active import find_active
-from jaxcrumple.model.near import EXCLUSION, Around, Room, no_neighbors
-from jaxcrumple.model.neighbors import find_near
-from jaxcrumple.model.scene import with_near
-from jaxcrumple.renewal import Renewal
+from jaxcrumple.contact.active_set import find_active
+from jaxcrumple.contact.lists import EXCLUSION, Around, Room, no_neighbors
+from jaxcrumple.contact.narrow_phase import find_near
+from jaxcrumple.scene import with_near
+from jaxcrumple.solvers.contact.reallocate import Renewal
 
 SIGMA, GAP = 0.5e-3, 0.9
 COLUMNS = (5, 6, 5)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import jaxcrumple as jc
-from jaxcrumple.config import complete, configure
-from jaxcrumple.plot import plot_run
-from jaxcrumple.run import start_run
-from jaxcrumple.sketch import alike, sketch
+from jaxcrumple.io.sketch import alike, sketch
+from jaxcrumple.plot.plot import plot_run
+from jaxcrumple.run.config import complete, configure
+from jaxcrumple.run.run import start_run
 
 STIFF = ["contact=none", "sweeps=5", "frames=2", "young_modulus=1e200"]
 FALLING = {

@@ -10,7 +10,7 @@ from pictures import colors
 from jaxcrumple import Material, plot
 from jaxcrumple.io import RunDirectory, RunDirectoryError
 from jaxcrumple.measure import hinge_curvature
-from jaxcrumple.meshgen import rectangle
+from jaxcrumple.mesh.generate import rectangle
 from jaxcrumple.solvers.log import AFTER, BEFORE, STEP, Row
 
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from pictures import colors
 
-from jaxcrumple import measure, plot_facets
-from jaxcrumple.meshgen import rectangle
+from jaxcrumple import measure
+from jaxcrumple.mesh.generate import rectangle
+from jaxcrumple.plot import facets as plot_facets
 
 
 @pytest.fixture

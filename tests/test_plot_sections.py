@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from shapes import RADIUS, icosphere
 
-from jaxcrumple import measure, plot_sections
+from jaxcrumple import measure
+from jaxcrumple.plot import sections as plot_sections
 
 H = 2e-3
 

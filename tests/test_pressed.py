@@ -12,9 +12,9 @@ from lattice import held
 from scipy.optimize import brentq
 
 import jaxcrumple as jc
+from jaxcrumple.geometry.hinge import curvature
 from jaxcrumple.measure import count_intersections, edge_strain
-from jaxcrumple.model.geometry import curvature
-from jaxcrumple.solvers.choice import direct_available
+from jaxcrumple.solvers.linear.registry import direct_available
 
 SIGMA, THICKNESS, DENSITY, G = 0.5e-3, 0.3e-3, 1000.0, 9.81
 UP = np.array([0.0, 0.0, 1.0])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import jaxcrumple as jc
-from jaxcrumple import programs
-from jaxcrumple.config import configure
+from jaxcrumple._jax import program_cache as programs
+from jaxcrumple.run.config import configure
 
 on_linux = pytest.mark.skipif(not programs.LIMIT.exists(), reason="mappings are listed on Linux alone")
 

@@ -11,12 +11,12 @@ from lattice import SPACING, advance, constants, held, lattice, solver, strip_sc
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from jaxcrumple.material import Material
-from jaxcrumple.meshgen import rectangle
-from jaxcrumple.model.confinement import Ramp, Sphere
+from jaxcrumple.material.material import Material
+from jaxcrumple.mesh.generate import rectangle
 from jaxcrumple.model.loads import AbstractMotion, Prescribed
-from jaxcrumple.model.scene import sheet
-from jaxcrumple.solvers.bdf import coefficients
+from jaxcrumple.model.walls import Ramp, Sphere
+from jaxcrumple.scene import sheet
+from jaxcrumple.solvers.implicit.bdf import coefficients
 from jaxcrumple.state import HISTORY, QUASISTATIC, History, implicit_step, initial_state
 from jaxcrumple.system import linearize, residual, tangent
 

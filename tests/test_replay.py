@@ -8,7 +8,7 @@ import pytest
 from folded import folded, strip
 
 import jaxcrumple as jc
-from jaxcrumple.model.geometry import curvature
+from jaxcrumple.geometry.hinge import curvature
 from jaxcrumple.model.loads import dead_load
 from jaxcrumple.replay import replay
 from jaxcrumple.replay.snaps import HIGH, MOST, snaps

@@ -12,19 +12,19 @@ import meshio
 import numpy as np
 import pytest
 
-from jaxcrumple import run
-from jaxcrumple.config import complete, configure
 from jaxcrumple.io import RunDirectory, RunDirectoryError
 from jaxcrumple.io.verify import damages
-from jaxcrumple.meshgen import rectangle
-from jaxcrumple.run import resume_run, start_run
+from jaxcrumple.mesh.generate import rectangle
+from jaxcrumple.run import run
+from jaxcrumple.run.config import complete, configure
+from jaxcrumple.run.run import resume_run, start_run
 
 PROGRAM = """
 import sys, jax
 jax.config.update("jax_enable_x64", True)
-from jaxcrumple.config import RunConfig
-from jaxcrumple.meshgen import rectangle
-from jaxcrumple.run import resume_run, start_run
+from jaxcrumple.run.config import RunConfig
+from jaxcrumple.mesh.generate import rectangle
+from jaxcrumple.run.run import resume_run, start_run
 config, folder, resume = sys.argv[1:]
 resume_run(folder) if resume == "resume" else start_run(RunConfig.model_validate_json(config), folder)
 """

@@ -10,13 +10,13 @@ from scene_files import config, plain_words, spoilt, valid
 from typer.testing import CliRunner
 
 import jaxcrumple as jc
-from jaxcrumple import cli
-from jaxcrumple.check import described
-from jaxcrumple.config import complete, configure
-from jaxcrumple.estimate import estimate
+from jaxcrumple.cli import cli
+from jaxcrumple.options.toml import line_of
+from jaxcrumple.run.check import described
+from jaxcrumple.run.config import complete, configure
+from jaxcrumple.run.estimate import estimate
+from jaxcrumple.run.template import template
 from jaxcrumple.scenes import SCENES
-from jaxcrumple.template import template
-from jaxcrumple.toml import line_of
 
 FILE = """
 scene = "radial"

@@ -9,8 +9,8 @@ from folded import brute_force, folded, strip
 from scipy.sparse.linalg import eigsh
 
 import jaxcrumple as jc
-from jaxcrumple.model.contact import Contact
-from jaxcrumple.solvers.stability import fastest
+from jaxcrumple.contact.energy import Contact
+from jaxcrumple.solvers.explicit.stability import fastest
 
 SIGMA, PARTS = 0.5e-3, 4
 

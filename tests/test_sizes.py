@@ -9,19 +9,20 @@ import pytest
 from typer.testing import CliRunner
 
 import jaxcrumple as jc
-from jaxcrumple import cli, memory
-from jaxcrumple.check import check_built
-from jaxcrumple.config import configure
-from jaxcrumple.estimate import estimate, require_config
+from jaxcrumple._jax import memory
+from jaxcrumple._jax.memory import group_limits, memory_limit, require, require_indices
+from jaxcrumple.assembly.sparsity import build_pattern
+from jaxcrumple.cli import cli
+from jaxcrumple.contact.adjacency import build_fans
+from jaxcrumple.contact.sites import build_sites, require_candidates
+from jaxcrumple.geometry.intersections import close_pairs
 from jaxcrumple.io import RunDirectory
 from jaxcrumple.measure import curvature_distribution, volume_fraction
 from jaxcrumple.measure.raster import Raster
-from jaxcrumple.memory import group_limits, memory_limit, require, require_indices
-from jaxcrumple.model.fans import build_fans
-from jaxcrumple.model.intersections import close_pairs
-from jaxcrumple.model.pattern import build_pattern
-from jaxcrumple.model.sites import build_sites, require_candidates
 from jaxcrumple.replay.record import Recorder
+from jaxcrumple.run.check import check_built
+from jaxcrumple.run.config import configure
+from jaxcrumple.run.estimate import estimate, require_config
 from jaxcrumple.simulate import frame_times
 from jaxcrumple.solvers.log import Trail
 from jaxcrumple.sweep.cases import checked_grid
@@ -208,7 +209,7 @@ def test_a_flat_sheet_of_any_size_needs_no_modes():
 
 def test_a_run_of_a_million_nodes_is_refused_before_it_is_built(memory_of, tmp_path, monkeypatch):
     memory_of(23e9)
-    monkeypatch.setattr("jaxcrumple.config.RunConfig.build", lambda config: pytest.fail("built"))
+    monkeypatch.setattr("jaxcrumple.run.config.RunConfig.build", lambda config: pytest.fail("built"))
     config = configure("radial", nodes=1_000_000, settings=["contact=none"])
     message = r"a run of 1000000 nodes with 26 frames takes at least 3\d\.\d GB of memory, and the limit here"
     for use in (

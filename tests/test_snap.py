@@ -10,9 +10,9 @@ from numpy.polynomial import Polynomial
 from numpy.polynomial.legendre import leggauss
 from scipy.sparse.linalg import spsolve
 
-from jaxcrumple.config import configure
-from jaxcrumple.material import Material
-from jaxcrumple.model.scene import sheet
+from jaxcrumple.material.material import Material
+from jaxcrumple.run.config import configure
+from jaxcrumple.scene import sheet
 from jaxcrumple.scenes import SCENES, arch, cap, energy_drop, relaxed_drop
 from jaxcrumple.scenes.arch import strip
 from jaxcrumple.scenes.snap import fixed

@@ -9,11 +9,11 @@ import pytest
 from typer.testing import CliRunner
 
 import jaxcrumple as jc
-from jaxcrumple import cli
-from jaxcrumple.balance import start_balance
-from jaxcrumple.config import configure
+from jaxcrumple.cli import cli
+from jaxcrumple.run.balance import start_balance
+from jaxcrumple.run.config import configure
 from jaxcrumple.simulate import simulate
-from jaxcrumple.start import check_start
+from jaxcrumple.solvers.start import check_start
 from jaxcrumple.sweep.campaign import _check as check_case
 
 PAIR = np.array([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.005, 0.01, 0.0], [0.005, -0.01, 0.0]])

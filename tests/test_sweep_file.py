@@ -7,7 +7,7 @@ import xarray as xr
 from typer.testing import CliRunner
 
 import jaxcrumple as jc
-from jaxcrumple.cli import app
+from jaxcrumple.cli.cli import app
 from jaxcrumple.sweep.file import read_sweep
 
 FILE = """

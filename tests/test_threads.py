@@ -5,8 +5,8 @@ import importlib
 import pytest
 from threadpoolctl import ThreadpoolController
 
-from jaxcrumple.solvers.choice import direct_available
-from jaxcrumple.threads import VARIABLE, limited_blas
+from jaxcrumple._jax.threads import VARIABLE, limited_blas
+from jaxcrumple.solvers.linear.registry import direct_available
 
 
 def numbers(internal_api):

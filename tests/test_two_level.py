@@ -10,10 +10,10 @@ import pytest
 from folded import folded, strip
 
 from jaxcrumple import Material, SelfContact, disc, radial, rectangle, sheet, with_contacts
-from jaxcrumple.model.coarse import build_coarse_space
-from jaxcrumple.model.geometry import curvature
-from jaxcrumple.solvers.block_cg import BlockCG
-from jaxcrumple.solvers.two_level import TwoLevel, coarse_matrix
+from jaxcrumple.assembly.coarse_space import build_coarse_space
+from jaxcrumple.geometry.hinge import curvature
+from jaxcrumple.solvers.linear.block_jacobi import BlockCG
+from jaxcrumple.solvers.linear.two_level import TwoLevel, coarse_matrix
 from jaxcrumple.system import elastic_tangent
 
 # Shift of the stiffness in 1/s2: that of quasistatic steps of some milliseconds.

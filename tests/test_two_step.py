@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxcrumple.solvers import bdf
+from jaxcrumple.solvers.implicit import bdf
 from jaxcrumple.state import HISTORY
 
 _two_step = jax.jit(bdf.two_step)

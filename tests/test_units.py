@@ -4,9 +4,19 @@ import numpy as np
 import pytest
 
 import jaxcrumple as jc
-from jaxcrumple.config import MaterialOptions, RunConfig, configure
-from jaxcrumple.presets import PRESETS
-from jaxcrumple.units import ACCELERATION, ANGLE, CURVATURE, DENSITY, FORCE, LENGTH, PRESSURE, SPEED, TIME
+from jaxcrumple.material.presets import PRESETS
+from jaxcrumple.options.units import (
+    ACCELERATION,
+    ANGLE,
+    CURVATURE,
+    DENSITY,
+    FORCE,
+    LENGTH,
+    PRESSURE,
+    SPEED,
+    TIME,
+)
+from jaxcrumple.run.config import MaterialOptions, RunConfig, configure
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,11 @@ from test_dynamics import total_energy
 from test_waves import patch
 
 import jaxcrumple as jc
-from jaxcrumple.model.confinement import Plane, Wall
-from jaxcrumple.solvers.explicit import slopes_at, with_slopes
-from jaxcrumple.solvers.runge_kutta import RungeKutta
-from jaxcrumple.solvers.stability import Fastest, fastest
-from jaxcrumple.solvers.verlet import Verlet, verlet
+from jaxcrumple.model.walls import Plane, Wall
+from jaxcrumple.solvers.explicit.base import slopes_at, with_slopes
+from jaxcrumple.solvers.explicit.runge_kutta import RungeKutta
+from jaxcrumple.solvers.explicit.stability import Fastest, fastest
+from jaxcrumple.solvers.explicit.verlet import Verlet, verlet
 from jaxcrumple.state import CAUSES, initial_state
 from jaxcrumple.system import energies
 

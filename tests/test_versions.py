@@ -28,7 +28,7 @@ def warned(module):
     return None
 
 
-@pytest.mark.parametrize("module", ["jaxcrumple", "jaxcrumple.model.contact", "test_versions", "conftest"])
+@pytest.mark.parametrize("module", ["jaxcrumple", "jaxcrumple.contact.energy", "test_versions", "conftest"])
 def test_a_warning_that_we_cause_is_an_error(module):
     assert warned(module) == "old"
 

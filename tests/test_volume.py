@@ -7,7 +7,7 @@ from shapes import RADIUS, icosphere
 
 from jaxcrumple import measure
 from jaxcrumple.measure.shells import area_within
-from jaxcrumple.meshgen import disc, rectangle
+from jaxcrumple.mesh.generate import disc, rectangle
 
 H = 0.25e-3
 

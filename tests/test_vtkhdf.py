@@ -9,7 +9,7 @@ import pytest
 
 from jaxcrumple import measure
 from jaxcrumple.io import Frame, RunDirectoryError, sheet_fields, write_vtkhdf
-from jaxcrumple.meshgen import rectangle
+from jaxcrumple.mesh.generate import rectangle
 from jaxcrumple.model.bending import Bending
 
 hdf = pytest.importorskip("vtkmodules.vtkIOHDF")

@@ -10,10 +10,10 @@ import pytest
 from lattice import CELL, SPACING, constants, elastic, lattice
 from scipy.sparse.linalg import eigsh
 
-from jaxcrumple.meshgen import rectangle
-from jaxcrumple.model.scene import sheet
-from jaxcrumple.solvers.runge_kutta import STABILITY, RungeKutta
-from jaxcrumple.solvers.stability import fastest, largest_eigenvalue
+from jaxcrumple.mesh.generate import rectangle
+from jaxcrumple.scene import sheet
+from jaxcrumple.solvers.explicit.runge_kutta import STABILITY, RungeKutta
+from jaxcrumple.solvers.explicit.stability import fastest, largest_eigenvalue
 from jaxcrumple.state import initial_state
 from jaxcrumple.system import mass_matrix, tangent
 

@@ -10,10 +10,10 @@ import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
 
-from jaxcrumple.model.scene import Scene
+from jaxcrumple.io.sketch import alike, sketch
 from jaxcrumple.replay import Replay
+from jaxcrumple.scene import Scene
 from jaxcrumple.simulate import checked_times
-from jaxcrumple.sketch import alike, sketch
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import State
 

@@ -12,9 +12,9 @@ import pandas as pd
 from jax import Array
 from scipy.optimize import brentq, least_squares
 
+from jaxcrumple._jax.door import door
 from jaxcrumple.calibrate.evaluate import Evaluations
 from jaxcrumple.calibrate.experiment import Experiment, Values
-from jaxcrumple.model.door import door
 from jaxcrumple.solvers.scheme import Integrator
 
 # Steps by which a bracket is sought, as factors of the parameter.

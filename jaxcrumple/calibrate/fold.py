@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
+from jaxcrumple._jax.door import door
 from jaxcrumple.calibrate.experiment import Experiment
 from jaxcrumple.calibrate.fit import Fit, Parameter, fit
-from jaxcrumple.material import Material
-from jaxcrumple.model.door import door
+from jaxcrumple.material.material import Material
 from jaxcrumple.scenes.fold import TIMES, default_gap, fold, fold_angle
 from jaxcrumple.solvers.scheme import Integrator, integrator
 from jaxcrumple.state import initial_state

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxcrumple._jax.door import door
 from jaxcrumple.calibrate.experiment import Experiment
 from jaxcrumple.calibrate.fit import Fit, Parameter, fit
-from jaxcrumple.model.door import door
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.simulate import checked_times
 from jaxcrumple.solvers.scheme import Integrator

@@ -19,8 +19,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxcrumple._jax.door import door
 from jaxcrumple.io.atomic import npz_bytes, to_json, write_bytes
-from jaxcrumple.model.door import door
 
 FORMAT, VERSION = "jaxcrumple-checkpoint", 1
 _HEADER = "header"

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxcrumple.io.atomic import RunDirectoryError, npz_bytes
-from jaxcrumple.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
 
 class Frame(NamedTuple):

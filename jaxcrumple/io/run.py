@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from jaxcrumple._jax.memory import FRAME, require
 from jaxcrumple.io.atomic import RunDirectoryError
 from jaxcrumple.io.rundir import RunDirectory
-from jaxcrumple.memory import FRAME, require
-from jaxcrumple.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
 # Times that a folder is read again where it changed meanwhile.
 TRIES = 10

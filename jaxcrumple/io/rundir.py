@@ -51,7 +51,7 @@ from jaxcrumple.io.manifest import (
     write_manifest,
 )
 from jaxcrumple.io.table import Table
-from jaxcrumple.mesh import Mesh
+from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.solvers.log import ENERGIES, EVENT_COLUMNS, Row
 from jaxcrumple.state import STAGES, Work
 

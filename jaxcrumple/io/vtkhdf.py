@@ -24,7 +24,7 @@ from jaxcrumple.measure import (
     mean_curvature,
     node_damage,
 )
-from jaxcrumple.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
 #: What to show at each point or cell, by name: a function of the frame.
 Fields = Mapping[str, Callable[[Frame], ArrayLike]]

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxcrumple.model.confinement import Wall
-from jaxcrumple.model.door import door
+from jaxcrumple._jax.door import door
+from jaxcrumple.model.walls import Wall
 
 
 @door

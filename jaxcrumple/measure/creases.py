@@ -1,7 +1,7 @@
 """Hinge angles, the map of mean curvature of Fig. 5a, and the plastic damage that makes creases.
 
-Signs follow `jaxcrumple.mesh.Mesh`: an angle or curvature is positive where the sheet is convex seen from the
-side to which the face normals point.
+Signs follow `jaxcrumple.mesh.mesh.Mesh`: an angle or curvature is positive where the sheet is convex seen
+from the side to which the face normals point.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jaxcrumple.measure.strain import check_finite, positions
-from jaxcrumple.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
 #: A hinge is damaged if its rest curvature has moved by more than this. The smoothstep yield law leaks a
 #: little below yield, so zero would count too much; see `crease_length` for the sensitivity.
@@ -22,7 +22,7 @@ def hinge_angles(mesh: Mesh, x: ArrayLike) -> FloatArray:
     corners = positions(mesh, x)[mesh.hinges]
     e0, e1, e2 = (corners[:, k] - corners[:, 0] for k in (1, 2, 3))
     n1, n2 = np.cross(e0, e1), np.cross(e2, e0)
-    # (n1 x n2).e0_hat = -|e0| (n2.e1), as in jaxcrumple.model.geometry.
+    # (n1 x n2).e0_hat = -|e0| (n2.e1), as in jaxcrumple.geometry.hinge.
     sine = -np.linalg.norm(e0, axis=1) * np.einsum("hi,hi->h", n2, e1)
     return np.arctan2(sine, np.einsum("hi,hi->h", n1, n2))
 

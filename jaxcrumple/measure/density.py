@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from jaxcrumple._jax.door import door
 from jaxcrumple.measure.creases import hinge_angles, plastic_curvature
 from jaxcrumple.measure.strain import edge_length
-from jaxcrumple.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import FloatArray, Mesh
 from jaxcrumple.model.bending import hinge_energy
-from jaxcrumple.model.door import door
 
 
 @door

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxcrumple._jax.memory import require
 from jaxcrumple.measure.creases import DAMAGE, damaged, hinge_angles, mean_curvature
-from jaxcrumple.memory import require
-from jaxcrumple.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
 
 class Distribution(NamedTuple):

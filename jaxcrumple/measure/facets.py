@@ -22,7 +22,7 @@ from scipy.stats import mode
 
 from jaxcrumple.measure.creases import DAMAGE, damaged, plastic_curvature
 from jaxcrumple.measure.raster import Raster
-from jaxcrumple.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
 #: A crease is where the damage within its width adds up to a plastic fold angle of at least this, in rad.
 FOLD = 0.2

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import expon, gamma, kstest, lognorm
 
-from jaxcrumple.mesh import FloatArray
+from jaxcrumple.mesh.mesh import FloatArray
 
 #: $\\tau$ of $a = \\sqrt{t/\\tau}$, dimensionless.
 TAU = 24.04

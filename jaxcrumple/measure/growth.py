@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from jaxcrumple.mesh import FloatArray
+from jaxcrumple.mesh.mesh import FloatArray
 
 #: Laws of growth with two constants each, as functions of the cycle n, c1 and c2.
 LAWS: dict[str, Callable[[FloatArray, float, float], FloatArray]] = {

@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from jaxcrumple.geometry.intersections import close_pairs, pierces
 from jaxcrumple.measure.shells import center_of_mass, normals
 from jaxcrumple.measure.strain import positions
-from jaxcrumple.mesh import FloatArray, Mesh
-from jaxcrumple.model.intersections import close_pairs, pierces
+from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
 
 def chord_layers(mesh: Mesh, x: ArrayLike, chords: ArrayLike) -> NDArray[np.intp]:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from jaxcrumple.memory import require
-from jaxcrumple.mesh import FloatArray, Mesh
+from jaxcrumple._jax.memory import require
+from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
 _BYTES = 60.0  # of a pixel or a point of a line, with copies
 _SUBDIVISION = 4  # a triangle is seen at the centres of its 4 x 4 parts

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from jaxcrumple.measure.shells import normals
 from jaxcrumple.measure.strain import positions
-from jaxcrumple.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
 _TRIANGLE = np.array([[0, 1], [1, 2], [2, 0]])
 _PRISM = np.concatenate([_TRIANGLE, _TRIANGLE + 3, np.arange(6).reshape(2, 3).T])

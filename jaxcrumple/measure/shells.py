@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxcrumple._jax.memory import require
 from jaxcrumple.measure.strain import positions
-from jaxcrumple.memory import require
-from jaxcrumple.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
 _BYTES = 24.0  # of a triangle in a shell, with copies
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxcrumple.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
 
 def positions(mesh: Mesh, x: ArrayLike) -> FloatArray:

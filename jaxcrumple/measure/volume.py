@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from jaxcrumple.measure.shells import center_of_mass, require_shells, shell_areas
 from jaxcrumple.measure.strain import positions
-from jaxcrumple.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
 
 class VolumeFraction(NamedTuple):

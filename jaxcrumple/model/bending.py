@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from jaxcrumple.model.geometry import (
+from jaxcrumple.geometry.hinge import (
     Hinge,
     curvature,
     gather,
@@ -12,7 +12,7 @@ from jaxcrumple.model.geometry import (
     hinge_gradient,
     hinge_hessian,
 )
-from jaxcrumple.model.stencil import scatter
+from jaxcrumple.model.elements import scatter
 
 # The smooth stop that keeps faces from passing through each other acts beyond this angle.
 FOLD_STOP = jnp.pi * 170.0 / 180.0

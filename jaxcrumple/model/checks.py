@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxcrumple.model.confinement import AbstractShape, Wall
-from jaxcrumple.model.fields import is_known, require_numbers, require_shape, shown
+from jaxcrumple._jax.tree import is_known, require_numbers, require_shape, shown
 from jaxcrumple.model.loads import ElementEnergy, Prescribed
 from jaxcrumple.model.plasticity import AbstractFlowRule
+from jaxcrumple.model.walls import AbstractShape, Wall
 
 
 def check_surroundings(

@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxcrumple.model.geometry import Vec, add, dot, gather, length, outer, scale, sub
+from jaxcrumple.geometry.hinge import Vec, add, dot, gather, length, outer, scale, sub
+from jaxcrumple.model.elements import scatter
 from jaxcrumple.model.membrane import edge_blocks, edge_force
-from jaxcrumple.model.stencil import scatter
 
 
 class Drag(eqx.Module):

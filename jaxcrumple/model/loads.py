@@ -11,8 +11,8 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxcrumple.model.fields import as_float, as_numbers, is_known, require_finite, require_shape
-from jaxcrumple.model.stencil import upper_pairs
+from jaxcrumple._jax.tree import as_float, as_numbers, is_known, require_finite, require_shape
+from jaxcrumple.model.elements import upper_pairs
 
 # Share of a time of release by which the end of a step may miss it.
 ROUNDING = 1e-12

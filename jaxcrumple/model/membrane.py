@@ -5,8 +5,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxcrumple.model.geometry import Vec, add, dot, dyad, gather, length, scale, sub
-from jaxcrumple.model.stencil import scatter
+from jaxcrumple.geometry.hinge import Vec, add, dot, dyad, gather, length, scale, sub
+from jaxcrumple.model.elements import scatter
 
 
 def spring_energy(xi: Vec, xj: Vec, stiffness: Array, rest_length: Array) -> Array:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxcrumple.model.fields import as_float, is_known, require_numbers
+from jaxcrumple._jax.tree import as_float, is_known, require_numbers
 
 # Every iteration halves the bracket or the step, so this many always suffice in float64.
 MAX_ITERATIONS = 120

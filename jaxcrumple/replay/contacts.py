@@ -6,12 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxcrumple.model.cross import Merged
-from jaxcrumple.model.merger import Merger
-from jaxcrumple.model.near import Around, Candidates, Near, doubled, motion
-from jaxcrumple.model.neighbors import find_near
-from jaxcrumple.model.scene import Scene, with_near
-from jaxcrumple.model.search import Search
+from jaxcrumple.assembly.contact_blocks import Merged
+from jaxcrumple.assembly.merged_matrix import Merger
+from jaxcrumple.contact.host_broad_phase import Search
+from jaxcrumple.contact.lists import Around, Candidates, Near, doubled, motion
+from jaxcrumple.contact.narrow_phase import find_near
+from jaxcrumple.scene import Scene, with_near
 
 # How far in ranges the sheet of a replay may be from the recorded one.
 SLACK = 0.25

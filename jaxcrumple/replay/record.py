@@ -7,17 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxcrumple.memory import gigabytes, times_that_fit
-from jaxcrumple.model.near import Near, doubled, no_neighbors
-from jaxcrumple.model.scene import Scene
+from jaxcrumple._jax.memory import gigabytes, times_that_fit
+from jaxcrumple.contact.lists import Near, doubled, no_neighbors
 from jaxcrumple.replay.contacts import Lists, make_lists
 from jaxcrumple.replay.snaps import snaps
-from jaxcrumple.solvers.explicit import AbstractExplicit
-from jaxcrumple.solvers.linear import AbstractLinearSolver
+from jaxcrumple.scene import Scene
+from jaxcrumple.solvers.explicit.base import AbstractExplicit
+from jaxcrumple.solvers.implicit.bdf_pair import BDFPair
+from jaxcrumple.solvers.implicit.variable_order import VariableOrder
+from jaxcrumple.solvers.linear.base import AbstractLinearSolver
 from jaxcrumple.solvers.log import Trail
-from jaxcrumple.solvers.pair import BDFPair
 from jaxcrumple.solvers.scheme import Integrator
-from jaxcrumple.solvers.variable_order import VariableOrder
 from jaxcrumple.state import EXPLICIT, HISTORY, State
 
 # Steps of a stretch, and the least number of stretches that a record has room for.

@@ -7,13 +7,13 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxcrumple.model.door import door, own_modes
-from jaxcrumple.model.scene import Scene
+from jaxcrumple._jax.door import door, own_modes
 from jaxcrumple.replay.contacts import Lists, as_listed, near_step, with_lists
 from jaxcrumple.replay.record import Record, Steps
 from jaxcrumple.replay.step import Point, RecordedStep, changed, newest, solved
-from jaxcrumple.solvers.bdf import step_formula
-from jaxcrumple.solvers.linear import Factor
+from jaxcrumple.scene import Scene
+from jaxcrumple.solvers.implicit.bdf import step_formula
+from jaxcrumple.solvers.linear.base import Factor
 from jaxcrumple.state import EXPLICIT, HISTORY, IMPLICIT, State, check_state
 
 # Relative rounding of the numbers of a scene that is made twice.

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxcrumple.model.scene import Scene
+from jaxcrumple.scene import Scene
 
 # A snap begins where positions would be off by this share of the sheet's size if inertia were left out (the
 # acceleration monitor's "displacement"), and is over when that did not happen for so many inertial times.

@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxcrumple.model.scene import Scene
-from jaxcrumple.solvers.bdf import Formula
-from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
-from jaxcrumple.solvers.newton import FORCING
-from jaxcrumple.solvers.solve import solve_once
+from jaxcrumple.scene import Scene
+from jaxcrumple.solvers.implicit.bdf import Formula
+from jaxcrumple.solvers.implicit.newton import FORCING
+from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
+from jaxcrumple.solvers.linear.solve import solve_once
 from jaxcrumple.state import ImplicitStep as Equations
 from jaxcrumple.system import linearize, residual, rest_curvature
 

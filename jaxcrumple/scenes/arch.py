@@ -3,12 +3,12 @@
 import jax.numpy as jnp
 import numpy as np
 
-from jaxcrumple.material import Material
-from jaxcrumple.mesh import Mesh
-from jaxcrumple.meshgen import hexagonal
-from jaxcrumple.model.door import door
+from jaxcrumple._jax.door import door
+from jaxcrumple.material.material import Material
+from jaxcrumple.mesh.generate import hexagonal
+from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.model.loads import dead_load
-from jaxcrumple.model.scene import sheet
+from jaxcrumple.scene import sheet
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import smooth_imperfection
 from jaxcrumple.scenes.snap import check_positive, fixed, sheet_material

@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxcrumple.memory import require
-from jaxcrumple.mesh import FloatArray, Mesh
-from jaxcrumple.model.confinement import AbstractShape, Corners, Cylinder, Plane, of_time
-from jaxcrumple.model.door import door
+from jaxcrumple._jax.door import door
+from jaxcrumple._jax.memory import require
+from jaxcrumple.mesh.mesh import FloatArray, Mesh
 from jaxcrumple.model.loads import ElementEnergy
+from jaxcrumple.model.walls import AbstractShape, Corners, Cylinder, Plane, of_time
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions, upright, wrapped
 from jaxcrumple.scenes.snap import check_gap, check_positive

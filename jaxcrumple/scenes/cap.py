@@ -3,11 +3,11 @@
 import jax.numpy as jnp
 import numpy as np
 
-from jaxcrumple.material import Material
-from jaxcrumple.meshgen import disc
-from jaxcrumple.model.door import door
+from jaxcrumple._jax.door import door
+from jaxcrumple.material.material import Material
+from jaxcrumple.mesh.generate import disc
 from jaxcrumple.model.loads import dead_load
-from jaxcrumple.model.scene import sheet
+from jaxcrumple.scene import sheet
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.snap import check_positive, fixed, sheet_material
 

@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxcrumple.model.confinement import Corners, Opening, of_time
-from jaxcrumple.model.door import door
-from jaxcrumple.model.fields import as_float
+from jaxcrumple._jax.door import door
+from jaxcrumple._jax.tree import as_float
 from jaxcrumple.model.loads import AbstractMotion, Prescribed
+from jaxcrumple.model.walls import Corners, Opening, of_time
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions
 from jaxcrumple.scenes.snap import check_positive

@@ -8,19 +8,20 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxcrumple.isotropy import warn_of_anisotropy
-from jaxcrumple.material import Material
-from jaxcrumple.mesh import FloatArray, Mesh
-from jaxcrumple.mesh_files import read_surface
-from jaxcrumple.mesh_files.sheet import unit_length
-from jaxcrumple.meshgen import disc, rectangle
-from jaxcrumple.model.confinement import AbstractShape, Cone, Corners, Cylinder, Plane, Sphere
-from jaxcrumple.model.contact import SelfContact
-from jaxcrumple.model.door import door
-from jaxcrumple.model.fields import as_float
+from jaxcrumple._jax.door import door
+from jaxcrumple._jax.tree import as_float
+from jaxcrumple.contact.energy import SelfContact
+from jaxcrumple.material.material import Material
+from jaxcrumple.mesh.files import read_surface
+from jaxcrumple.mesh.files.sheet import unit_length
+from jaxcrumple.mesh.generate import disc, rectangle
+from jaxcrumple.mesh.isotropy import warn_of_anisotropy
+from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.remesh import remeshed
 from jaxcrumple.model.loads import LinearMotion, Prescribed
-from jaxcrumple.model.scene import sheet as scene_of
-from jaxcrumple.remesh import remeshed
+from jaxcrumple.model.walls import AbstractShape, Cone, Corners, Cylinder, Plane, Sphere
+from jaxcrumple.options.validation import validated
+from jaxcrumple.scene import sheet as scene_of
 from jaxcrumple.scenes.custom_options import (
     AnyWall,
     Bend,
@@ -35,7 +36,6 @@ from jaxcrumple.scenes.custom_options import (
 )
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import smooth_imperfection, wrapped
-from jaxcrumple.validation import validated
 
 
 @door

@@ -18,11 +18,11 @@ from pydantic import (
     model_validator,
 )
 
-from jaxcrumple.mesh_files import MeshError
-from jaxcrumple.mesh_files.sheet import unit_length
-from jaxcrumple.model.contact import Potential
-from jaxcrumple.model.sites import MOST_LEVEL
-from jaxcrumple.units import (
+from jaxcrumple.contact.energy import Potential
+from jaxcrumple.contact.sites import MOST_LEVEL
+from jaxcrumple.mesh.files import MeshError
+from jaxcrumple.mesh.files.sheet import unit_length
+from jaxcrumple.options.units import (
     LENGTH,
     TIME,
     Metre,

@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import least_squares
 
-from jaxcrumple.mesh import FloatArray
-from jaxcrumple.model.confinement import Cone, Corners
-from jaxcrumple.model.door import door
-from jaxcrumple.model.fields import as_float
+from jaxcrumple._jax.door import door
+from jaxcrumple._jax.tree import as_float
+from jaxcrumple.mesh.mesh import FloatArray
 from jaxcrumple.model.loads import LinearMotion, Prescribed
+from jaxcrumple.model.walls import Cone, Corners
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions
 from jaxcrumple.scenes.snap import check_positive

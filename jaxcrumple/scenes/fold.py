@@ -8,15 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxcrumple.material import Material
-from jaxcrumple.mesh import Mesh
-from jaxcrumple.meshgen import rectangle
-from jaxcrumple.model.confinement import Corners, Plane
-from jaxcrumple.model.door import door
-from jaxcrumple.model.fields import as_float
-from jaxcrumple.model.geometry import cross, gather, sub
+from jaxcrumple._jax.door import door
+from jaxcrumple._jax.tree import as_float
+from jaxcrumple.geometry.hinge import cross, gather, sub
+from jaxcrumple.material.material import Material
+from jaxcrumple.mesh.generate import rectangle
+from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.model.loads import AbstractMotion, Prescribed
-from jaxcrumple.model.scene import sheet
+from jaxcrumple.model.walls import Corners, Plane
+from jaxcrumple.scene import sheet
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.snap import check_gap, check_positive
 

@@ -5,12 +5,12 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from jaxcrumple.model.contact import Potential
-from jaxcrumple.model.sites import MOST_LEVEL
+from jaxcrumple.contact.energy import Potential
+from jaxcrumple.contact.sites import MOST_LEVEL
+from jaxcrumple.options.units import LENGTH, TIME, Metre, MetrePerSecond, Newton, Radian, Second
 from jaxcrumple.scenes.axial import TIMES as AXIAL
 from jaxcrumple.scenes.custom_options import refuse_idle_contact
 from jaxcrumple.scenes.fold import TIMES
-from jaxcrumple.units import LENGTH, TIME, Metre, MetrePerSecond, Newton, Radian, Second
 
 
 class SceneOptions(BaseModel):

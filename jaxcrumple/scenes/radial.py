@@ -5,9 +5,9 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxcrumple.model.confinement import Corners, Ramp, Sphere
-from jaxcrumple.model.door import door
-from jaxcrumple.model.fields import as_float
+from jaxcrumple._jax.door import door
+from jaxcrumple._jax.tree import as_float
+from jaxcrumple.model.walls import Corners, Ramp, Sphere
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions
 from jaxcrumple.scenes.snap import check_positive

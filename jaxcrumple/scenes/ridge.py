@@ -12,13 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxcrumple._jax.door import door
+from jaxcrumple._jax.tree import as_float
 from jaxcrumple.measure.creases import mean_curvature
-from jaxcrumple.mesh import FloatArray, Mesh
-from jaxcrumple.meshgen import rectangle
-from jaxcrumple.model.confinement import Corners
-from jaxcrumple.model.door import door
-from jaxcrumple.model.fields import as_float
+from jaxcrumple.mesh.generate import rectangle
+from jaxcrumple.mesh.mesh import FloatArray, Mesh
 from jaxcrumple.model.loads import AbstractMotion, Prescribed
+from jaxcrumple.model.walls import Corners
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions
 from jaxcrumple.scenes.snap import check_positive

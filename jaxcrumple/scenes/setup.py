@@ -8,15 +8,15 @@ import jax
 import numpy as np
 from jax import Array
 
-from jaxcrumple.material import Material, changed
-from jaxcrumple.mesh import Mesh
-from jaxcrumple.model.confinement import AbstractShape, Wall
-from jaxcrumple.model.contact import SelfContact
+from jaxcrumple._jax.door import door
+from jaxcrumple._jax.tree import is_known
+from jaxcrumple.contact.energy import SelfContact
+from jaxcrumple.material.material import Material, changed
+from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.model.damping import PaperDashpot
-from jaxcrumple.model.door import door
-from jaxcrumple.model.fields import is_known
 from jaxcrumple.model.plasticity import AbstractFlowRule
-from jaxcrumple.model.scene import Scene, sheet
+from jaxcrumple.model.walls import AbstractShape, Wall
+from jaxcrumple.scene import Scene, sheet
 
 # Relative difference of numbers that counts as rounding.
 ROUNDING = 1e-12

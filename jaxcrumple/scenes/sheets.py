@@ -7,14 +7,14 @@ from dataclasses import dataclass, field, replace
 import jax.numpy as jnp
 import numpy as np
 
-from jaxcrumple.material import Material
-from jaxcrumple.memory import require
-from jaxcrumple.mesh import FloatArray, Mesh
-from jaxcrumple.meshgen import disc, rectangle
-from jaxcrumple.model.confinement import AbstractShape
-from jaxcrumple.model.contact import Potential, SelfContact
+from jaxcrumple._jax.memory import require
+from jaxcrumple.contact.energy import Potential, SelfContact
+from jaxcrumple.material.material import Material
+from jaxcrumple.mesh.generate import disc, rectangle
+from jaxcrumple.mesh.mesh import FloatArray, Mesh
 from jaxcrumple.model.loads import ElementEnergy, Prescribed
-from jaxcrumple.model.scene import sheet
+from jaxcrumple.model.walls import AbstractShape
+from jaxcrumple.scene import sheet
 from jaxcrumple.scenes.setup import Setup
 
 # Shortest wavelength of the initial imperfection in m, and how many modes each way it has at most.

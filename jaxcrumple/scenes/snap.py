@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxcrumple.material import Material
-from jaxcrumple.model.door import door
+from jaxcrumple._jax.door import door
+from jaxcrumple.material.material import Material
 from jaxcrumple.model.loads import LinearMotion, Prescribed
-from jaxcrumple.model.scene import Scene
-from jaxcrumple.renewal import with_contacts
+from jaxcrumple.scene import Scene
 from jaxcrumple.scenes.setup import Setup
+from jaxcrumple.solvers.contact.reallocate import with_contacts
 from jaxcrumple.solvers.relax import Relaxed, relax
 from jaxcrumple.state import State, check_state, initial_state
 from jaxcrumple.system import energies

@@ -8,18 +8,12 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxcrumple.model.door import door
-from jaxcrumple.model.fields import as_float, require_shape, select
-from jaxcrumple.model.lanes import where_needed
-from jaxcrumple.model.near import motion
-from jaxcrumple.model.scene import Scene
-from jaxcrumple.solvers.bdf import push
-from jaxcrumple.solvers.explicit import with_slopes
-from jaxcrumple.solvers.handover import Handover, after_explicit, after_implicit, handed_over, row, stay
-from jaxcrumple.solvers.implicit import Attempt, aligns
-from jaxcrumple.solvers.ledger import booked
-from jaxcrumple.solvers.linear import Factor
-from jaxcrumple.solvers.lists import (
+from jaxcrumple._jax.batched_cond import where_needed
+from jaxcrumple._jax.door import door
+from jaxcrumple._jax.tree import as_float, require_shape, select
+from jaxcrumple.contact.lists import motion
+from jaxcrumple.scene import Scene
+from jaxcrumple.solvers.contact.schedule import (
     Lists,
     largest_move,
     listed,
@@ -34,10 +28,16 @@ from jaxcrumple.solvers.lists import (
     with_active,
     without_places,
 )
+from jaxcrumple.solvers.explicit.base import with_slopes
+from jaxcrumple.solvers.implicit.base import Attempt, aligns
+from jaxcrumple.solvers.implicit.bdf import push
+from jaxcrumple.solvers.implicit.newton import must_restore
+from jaxcrumple.solvers.linear.base import Factor
 from jaxcrumple.solvers.log import STEP, Log, append, empty_log, follow
-from jaxcrumple.solvers.newton import must_restore
 from jaxcrumple.solvers.scheme import Integrator, checked_solver
+from jaxcrumple.solvers.stages import Handover, after_explicit, after_implicit, handed_over, row, stay
 from jaxcrumple.solvers.switch import observe
+from jaxcrumple.solvers.work import booked
 from jaxcrumple.state import CAUSES, EXPLICIT, RESULTS, Counters, State, check_state
 
 # Cost units: a call ends after BUDGET units, so that its caller can save, and reports in between.

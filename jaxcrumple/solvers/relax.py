@@ -7,17 +7,17 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxcrumple.memory import require_run
-from jaxcrumple.model.door import door
-from jaxcrumple.model.fields import as_float, is_known, is_number, require_limit
-from jaxcrumple.model.near import motion
-from jaxcrumple.model.scene import Scene
-from jaxcrumple.programs import make_room
-from jaxcrumple.renewal import Renewal
-from jaxcrumple.solvers.choice import choose_linear_solver
-from jaxcrumple.solvers.linear import AbstractLinearSolver, Factor
-from jaxcrumple.solvers.lists import passes, sharpest, without_places
-from jaxcrumple.start import check_gap, check_start
+from jaxcrumple._jax.door import door
+from jaxcrumple._jax.memory import require_run
+from jaxcrumple._jax.program_cache import make_room
+from jaxcrumple._jax.tree import as_float, is_known, is_number, require_limit
+from jaxcrumple.contact.lists import motion
+from jaxcrumple.scene import Scene
+from jaxcrumple.solvers.contact.reallocate import Renewal
+from jaxcrumple.solvers.contact.schedule import passes, sharpest, without_places
+from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
+from jaxcrumple.solvers.linear.registry import choose_linear_solver
+from jaxcrumple.solvers.start import check_gap, check_start
 from jaxcrumple.state import State, check_state, restarted
 from jaxcrumple.system import elastic_tangent, energies, force_terms
 

@@ -6,19 +6,19 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from jaxcrumple.model.door import door
-from jaxcrumple.model.fields import as_float, is_number
-from jaxcrumple.model.scene import Scene
-from jaxcrumple.solvers.choice import choose_linear_solver
-from jaxcrumple.solvers.explicit import AbstractExplicit
-from jaxcrumple.solvers.implicit import AbstractImplicit
-from jaxcrumple.solvers.linear import AbstractLinearSolver
-from jaxcrumple.solvers.pair import BDFPair
-from jaxcrumple.solvers.runge_kutta import RungeKutta
-from jaxcrumple.solvers.stability import beside_walls, fastest, wall_stiffness
+from jaxcrumple._jax.door import door
+from jaxcrumple._jax.tree import as_float, is_number
+from jaxcrumple.scene import Scene
+from jaxcrumple.solvers.explicit.base import AbstractExplicit
+from jaxcrumple.solvers.explicit.runge_kutta import RungeKutta
+from jaxcrumple.solvers.explicit.stability import beside_walls, fastest, wall_stiffness
+from jaxcrumple.solvers.explicit.verlet import Verlet
+from jaxcrumple.solvers.implicit.base import AbstractImplicit
+from jaxcrumple.solvers.implicit.bdf_pair import BDFPair
+from jaxcrumple.solvers.implicit.variable_order import VariableOrder
+from jaxcrumple.solvers.linear.base import AbstractLinearSolver
+from jaxcrumple.solvers.linear.registry import choose_linear_solver
 from jaxcrumple.solvers.switch import Switch
-from jaxcrumple.solvers.variable_order import VariableOrder
-from jaxcrumple.solvers.verlet import Verlet
 from jaxcrumple.state import EXPLICIT, IMPLICIT, QUASISTATIC, Limit, State
 
 Scheme = Literal["hybrid", "dynamic", "alternating", "quasistatic", "explicit", "paper"]

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxcrumple.model.fields import as_float, is_known
-from jaxcrumple.model.scene import Scene
+from jaxcrumple._jax.tree import as_float, is_known
+from jaxcrumple.scene import Scene
 from jaxcrumple.state import IMPLICIT, QUASISTATIC, Monitor
 
 Measure = Literal["displacement", "acceleration"]

@@ -10,18 +10,18 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh as DeviceMesh
 
-from jaxcrumple.memory import require
-from jaxcrumple.model.scene import Scene
-from jaxcrumple.programs import make_room
-from jaxcrumple.renewal import batch_with_contacts
+from jaxcrumple._jax.memory import require
+from jaxcrumple._jax.program_cache import make_room
+from jaxcrumple._jax.threads import limited_blas
+from jaxcrumple.scene import Scene
 from jaxcrumple.simulate import MOST_WAITS, RESULT_NAMES
-from jaxcrumple.start import check_gap, check_start, pierced
+from jaxcrumple.solvers.contact.reallocate import batch_with_contacts
+from jaxcrumple.solvers.start import check_gap, check_start, pierced
 from jaxcrumple.state import RESULTS, State, initial_state
 from jaxcrumple.sweep import lanes
 from jaxcrumple.sweep.cases import Case, Limits, blamed
 from jaxcrumple.sweep.lanes import AXIS, Inputs, differing, lane, lanes_of, spread, stacked
 from jaxcrumple.sweep.table import Frames, Measure, Outcome, Tell
-from jaxcrumple.threads import limited_blas
 
 # Bytes of a node in a lane, as a scene and a state.
 LANE = 6e3

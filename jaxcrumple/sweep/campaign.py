@@ -9,15 +9,15 @@ from typing import Any
 import pandas as pd
 from distributed import Client
 
-from jaxcrumple.config import ConfigError, RunConfig
-from jaxcrumple.estimate import require_config
+from jaxcrumple._jax.tree import require_limit
 from jaxcrumple.io import RunDirectory, RunDirectoryError
 from jaxcrumple.io.atomic import refusal, write_bytes
 from jaxcrumple.io.lock import writing
 from jaxcrumple.io.rundir import is_run, make_folder
-from jaxcrumple.model.fields import require_limit
-from jaxcrumple.run import resume_run, start_run, stored_config
-from jaxcrumple.start import check_start
+from jaxcrumple.run.config import ConfigError, RunConfig
+from jaxcrumple.run.estimate import require_config
+from jaxcrumple.run.run import resume_run, start_run, stored_config
+from jaxcrumple.solvers.start import check_start
 from jaxcrumple.state import initial_state
 from jaxcrumple.sweep.cases import blamed
 from jaxcrumple.sweep.cluster import Cluster, connected, local_workers, run_all

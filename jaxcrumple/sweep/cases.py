@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxcrumple.config import ConfigError, RunConfig, configure
-from jaxcrumple.memory import require
+from jaxcrumple._jax.memory import require
+from jaxcrumple.run.config import ConfigError, RunConfig, configure
 from jaxcrumple.scenes import Setup
 from jaxcrumple.solvers.scheme import Integrator, integrator
 

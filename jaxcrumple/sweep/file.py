@@ -5,10 +5,10 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from jaxcrumple.config import ConfigError, Options, unit_named, validated
+from jaxcrumple.options.toml import read_toml
+from jaxcrumple.options.units import TIME
+from jaxcrumple.run.config import ConfigError, Options, unit_named, validated
 from jaxcrumple.scenes import SCENES
-from jaxcrumple.toml import read_toml
-from jaxcrumple.units import TIME
 
 
 class SweepFile(Options):

@@ -11,7 +11,7 @@ from jax import Array
 from jax.sharding import Mesh as DeviceMesh
 from jax.sharding import NamedSharding, PartitionSpec
 
-from jaxcrumple.model.scene import Scene
+from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import State

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from jaxcrumple.simulate import simulate
-from jaxcrumple.start import check_start
+from jaxcrumple.solvers.start import check_start
 from jaxcrumple.state import State, initial_state
 from jaxcrumple.sweep.cases import Case, Limits, blamed
 from jaxcrumple.sweep.cluster import Cluster, WorkersLostError, connected, run_all

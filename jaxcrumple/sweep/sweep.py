@@ -10,9 +10,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from jaxcrumple.memory import require_run
-from jaxcrumple.model.door import door
-from jaxcrumple.model.fields import require_limit
+from jaxcrumple._jax.door import door
+from jaxcrumple._jax.memory import require_run
+from jaxcrumple._jax.tree import require_limit
 from jaxcrumple.scenes import Setup
 from jaxcrumple.simulate import checked_times
 from jaxcrumple.solvers.scheme import Integrator

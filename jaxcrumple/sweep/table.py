@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from jaxcrumple.run.summary import figures
 from jaxcrumple.scenes import Setup
 from jaxcrumple.state import CAUSES, STAGES, State
-from jaxcrumple.summary import figures
 from jaxcrumple.sweep.cases import Grid
 
 Measure = Callable[[Setup, State], Mapping[str, Any]]

@@ -1,0 +1,45 @@
+"""Work that a batch skips where none of its lanes needs it."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxcrumple._jax.door import own_modes
+from jaxcrumple._jax.tree import select
+
+
+def where_needed(needed: Array, make: Callable[..., Any], old: Any, *args: Any) -> Any:
+    """`make(*args)` where it is `needed`, else the tree `old` of the same arrays.
+
+    As `jax.lax.cond`, which under `vmap` always computes both; this computes `make` for all lanes if one of
+    them needs it, and for none otherwise. All that lanes differ by must be among the arguments. In forward
+    mode it has one direction at a time (`jax.jvp`).
+    """
+    arrays, static = eqx.partition((old, args), eqx.is_array)
+
+    def made(arrays: Any) -> Any:
+        return eqx.filter(make(*eqx.combine(arrays, static)[1]), eqx.is_array)
+
+    @jax.custom_batching.custom_vmap
+    def chosen(needed: Array, arrays: Any) -> Any:
+        return jax.lax.cond(needed, made, lambda arrays: arrays[0], arrays)
+
+    @chosen.def_vmap
+    @own_modes()
+    def lanes(size: int, in_batched: Any, needed: Array, arrays: Any) -> tuple[Any, Any]:
+        axes = jax.tree.map(lambda batched: 0 if batched else None, in_batched[1])
+        new = jax.vmap(made, in_axes=(axes,), axis_size=size)
+        kept = jax.vmap(lambda arrays: arrays[0], in_axes=(axes,), axis_size=size)
+        mask = jnp.broadcast_to(needed, (size,))
+
+        def some(arrays: Any) -> Any:
+            return jax.vmap(select)(mask, new(arrays), kept(arrays))
+
+        found = jax.lax.cond(jnp.any(mask), some, kept, arrays)
+        return found, jax.tree.map(lambda _: True, found)
+
+    return eqx.combine(chosen(needed, arrays), eqx.filter(old, eqx.is_array, inverse=True))

@@ -1,0 +1,65 @@
+"""The structure of sheet and contact in one matrix, made on the host for a list of pairs."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxcrumple._jax.memory import require, require_indices
+from jaxcrumple.assembly.contact_blocks import SIZE, Merged
+from jaxcrumple.assembly.sparsity import Pattern, scalar_entries
+from jaxcrumple.contact.lists import NONE, SOON, doubled, pair_key
+
+# Bytes of an entry of a pair of triangles.
+BYTES = 8.0
+# Room for entries that a pair adds, of 81: it has most of its blocks in common with other pairs.
+ENTRIES = 10
+
+
+class Merger:
+    """Merges pairs of triangles into one sheet's pattern."""
+
+    def __init__(self, pattern: Pattern, faces: np.ndarray):
+        self.n = len(pattern.diagonal) // 3
+        self.nnz = pattern.nnz
+        self.faces = np.asarray(faces, np.int64)
+        row, column = np.asarray(pattern.rows, np.int64) // 3, np.asarray(pattern.indices, np.int64) // 3
+        self.keys = np.unique(row * self.n + column)
+        entries, _ = scalar_entries(self.n, self.keys // self.n, self.keys % self.n)
+        self.upper = entries.reshape(-1) < self.nnz
+        # Blocks are numbered row by row, so a block's entries are not next to one another.
+        self.order = entries.reshape(-1)[self.upper]
+
+    def merge(self, triangles: np.ndarray, capacity: int, spare: float = 1.0) -> Merged:
+        """Structure with room for `capacity` pairs, the first of which are `triangles` (c, 2), sorted. Where
+        `spare` times these, or the entries that they add, need more, it is doubled until it has room for
+        `SOON` times as many."""
+        n = self.n
+        nodes = self.faces[triangles]
+        a, b = np.broadcast_arrays(nodes[:, 0, :, None], nodes[:, 1, None, :])
+        wanted = np.minimum(a, b) * n + np.maximum(a, b)
+        keys = np.union1d(self.keys, wanted)
+        row, column = keys // n, keys % n
+        entries, counts = scalar_entries(n, row, column)
+        nnz = int(counts.sum())
+        needed = max(len(triangles), (nnz - self.nnz) / ENTRIES)
+        if spare * needed > capacity:
+            capacity = doubled(capacity, int(SOON * needed))
+        room = self.nnz + ENTRIES * capacity
+        what = f"the matrix of a direct solver, with room for {capacity} pairs of triangles that touch,"
+        cure = "choose linear = 'two-level', or resume with a coarser mesh"
+        require_indices(room, what, cure)
+        require(BYTES * SIZE * capacity, what, cure)
+        entries[entries == nnz] = room
+        place = np.empty(self.nnz, np.int32)
+        place[self.order] = entries[np.searchsorted(keys, self.keys)].reshape(-1)[self.upper]
+        indices = np.zeros(room + 1, np.int32)
+        indices[entries] = 3 * column[:, None, None] + np.arange(3)
+        found = entries[np.searchsorted(keys, wanted)]
+        found = np.where((a > b)[..., None, None], np.swapaxes(found, -1, -2), found)
+        cross = np.full((capacity, SIZE), room, np.int32)
+        cross[: len(nodes)] = found.reshape(-1, SIZE)
+        indptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+        pairs = np.full(capacity, NONE)
+        # By NumPy: JAX would compile this for every number of pairs.
+        pairs[: len(triangles)] = pair_key(triangles, len(self.faces))
+        arrays = (indptr, indices[:-1], place, pairs, cross)
+        return Merged(*map(jnp.asarray, arrays))

@@ -1,0 +1,77 @@
+"""The command line's `jaxcrumple calibrate`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from jaxcrumple.cli.console import check_place, noted, say
+
+calibrations = typer.Typer(help="Find properties of a sheet from what is measured.", no_args_is_help=True)
+
+
+@calibrations.command("fold")
+def calibrate_by_fold(
+    target_angle: Annotated[float, typer.Option(help="Angle in degrees between the halves; 180 is flat.")],
+    nodes: Annotated[int, typer.Option(help="Nodes of the mesh.")] = 1000,
+    seed: Annotated[int, typer.Option(help="Seed of the mesh.")] = 0,
+    std: Annotated[float, typer.Option(help="Standard deviation of the angle in degrees.")] = 1.0,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the result to this file.")] = None,
+    checkpoint: Annotated[Path | None, typer.Option(help="File of all runs, from which to go on.")] = None,
+) -> None:
+    """Find the yield curvature for which a folded sheet keeps an angle."""
+    import math
+
+    from jaxcrumple.calibrate import calibrate_fold
+    from jaxcrumple.io.atomic import json_bytes, write_bytes
+
+    if not 0 < target_angle < 180:
+        raise ValueError(
+            f"--target-angle = {target_angle:g} must lie between 0 and 180 degrees; 180 is flat."
+        )
+    if not (math.isfinite(std) and std > 0):
+        raise ValueError(f"--std = {std:g} must be a positive angle in degrees.")
+    if json_file is not None:
+        check_place(json_file, "--json")
+    kept = "no --checkpoint was given, so nothing is kept"
+    if checkpoint is not None:
+        kept = f"the runs so far are kept in {checkpoint}; go on with the same command"
+    with noted(lambda: kept):
+        found = calibrate_fold(
+            math.radians(target_angle),
+            nodes=nodes,
+            seed=seed,
+            std=math.radians(std),
+            checkpoint=checkpoint,
+            tell=_tell_evaluation,
+        )
+    result = {
+        "yield_curvature": found.yield_curvature,
+        "std": found.std,
+        "c0": found.c0,
+        "c0_std": found.c0_std,
+        "angle_deg": math.degrees(found.angle),
+        "evaluations": found.fit.evaluations,
+        "gradient_evaluations": found.fit.gradient_evaluations,
+        "snaps": found.fit.snaps,
+        "success": found.success,
+        "message": found.fit.message,
+        "target_angle_deg": target_angle,
+        "nodes": nodes,
+        "seed": seed,
+    }
+    if json_file is not None:
+        write_bytes(json_file, json_bytes(result))
+    say(
+        f"yield curvature {found.yield_curvature:.4g} +- {found.std:.2g} 1/m, c0 = {found.c0:.4g}; the fold "
+        f"then keeps {result['angle_deg']:.4g} degrees ({found.fit.message})"
+    )
+    if not found.success:
+        raise ValueError(f"no yield curvature was found for which the fold keeps {target_angle:g} degrees.")
+
+
+def _tell_evaluation(row) -> None:
+    """A line for each run of a fit that is not known already."""
+    if row["kind"] == "residuals" and row["seconds"] > 0.0:
+        value, loss, seconds = row["yield_curvature"], row["loss"], row["seconds"]
+        say(f"yield curvature {value:.5g} 1/m: loss {loss:.3g}, {seconds:.0f} s")

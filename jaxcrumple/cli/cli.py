@@ -1,0 +1,383 @@
+"""The command line: `jaxcrumple run`, `check`, `calibrate`, `sweep`, `campaign`, `figure` and others."""
+
+import importlib.metadata
+import shlex
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from jaxcrumple.cli.calibrate import calibrations
+from jaxcrumple.cli.console import ENDED, check_place, console, keep_programs, noted, run_program, say
+
+if TYPE_CHECKING:
+    from jaxcrumple.run.config import RunConfig
+
+app = typer.Typer(
+    help="Simulate thin elastoplastic sheets that fold, buckle and crumple.",
+    epilog="Exit codes: 0 success; 1 a run ended otherwise, or ran out of memory; 2 refused, and the message "
+    "says why; 70 a bug of the program; 130 Ctrl-C; 143 SIGTERM; 141 nobody reads the output.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        say(f"jaxcrumple {importlib.metadata.version('jaxcrumple')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and stop.", callback=_version, is_eager=True)
+    ] = False,
+) -> None:
+    keep_programs()
+
+
+def main() -> None:
+    """Entry point: double precision, and one line and an exit code for whatever ends a command."""
+    run_program(app)
+
+
+SceneOrFile = Annotated[
+    str, typer.Argument(metavar="SCENE|FILE.toml", help="A scene (see `jaxcrumple scenes`) or a scene file.")
+]
+Nodes = Annotated[int | None, typer.Option(help="Nodes of the mesh (default: 1000).")]
+EndTime = Annotated[str | None, typer.Option(help="End time in s, or with a unit (default: the scene's).")]
+Seed = Annotated[int | None, typer.Option(help="Seed of mesh and imperfection (default: 0).")]
+Limit = Annotated[
+    str | None,
+    typer.Option(
+        help="Wall time in s, or with a unit, after which a run ends with the result budget, to go on later; "
+        "compiling does not count."
+    ),
+]
+Setting = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="An option of scene, material or solver; may repeat."),
+]
+
+
+@app.command()
+def run(
+    scene: SceneOrFile,
+    nodes: Nodes = None,
+    t_end: EndTime = None,
+    seed: Seed = None,
+    settings: Setting = None,
+    out: Annotated[
+        Path | None, typer.Option(help="New folder for results (default: runs/SCENE or FILE).")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out.")] = False,
+    max_seconds: Limit = None,
+) -> None:
+    """Run a scene and write its trajectory, tables, checkpoint, summary and pictures to a folder."""
+    from jaxcrumple.io import RunDirectory
+    from jaxcrumple.run.config import pairs
+    from jaxcrumple.run.progress import ConsoleProgress
+    from jaxcrumple.run.run import check_resumable, flat, resume_run, start_run, stored_config
+
+    folder, limit = out or Path("runs") / Path(scene).stem, _seconds(max_seconds)
+    given = {"nodes": nodes, "t_end": t_end, "seed": seed}
+    asked: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+    if resume and not asked and not settings and not _is_file(scene):
+        config = stored_config(RunDirectory.open(folder)).model_copy(update={"scene": scene})
+    else:
+        config = _asked(scene, settings, asked)
+    if resume:
+        named = [*asked, *(key for key, _ in pairs(settings or ()))]
+        check_resumable(config, flat(config) if _is_file(scene) else named, folder)
+    go_on = _resume_command(scene, folder, asked, settings)
+    with noted(lambda: _kept(folder, go_on)):
+        with ConsoleProgress(config.t_end, console) as progress:
+            go = partial(resume_run, folder) if resume else partial(start_run, config, folder)
+            summary = go([progress], max_seconds=limit)
+        _report(summary)
+    with noted(lambda: f"the run has ended and is saved; draw it with: {_command('plot', folder)}"):
+        pictures = _plot(folder)
+    for line in (*(f"picture: {picture}" for picture in pictures), f"all results: {folder}"):
+        say(line)
+    if summary["result"] == "budget":
+        say(f"go on with: {go_on}")
+    _all_must_succeed(summary["result"] == "success")
+
+
+def _seconds(limit: str | None) -> float | None:
+    """Wall time in s of an option."""
+    from jaxcrumple._jax.tree import require_limit
+    from jaxcrumple.options.units import TIME
+
+    try:
+        seconds = None if limit is None else float(TIME.si(limit))
+        require_limit("max_seconds", seconds)
+    except ValueError as error:
+        raise ValueError(
+            f"--max-seconds = {limit!r} is no wall time; give one such as 600 or '30 min'."
+        ) from error
+    return seconds
+
+
+def _command(*words: Any) -> str:
+    """A command as one types it."""
+    return shlex.join(["jaxcrumple", *map(str, words)])
+
+
+def _resume_command(scene: str, folder: Path, asked: dict[str, Any], settings: Sequence[str] | None) -> str:
+    """The command that goes on with a run; it repeats what replaces values of a scene file."""
+    repeated: list[Any] = []
+    if _is_file(scene):
+        for key, value in asked.items():
+            repeated += [f"--{key.replace('_', '-')}", value]
+        for setting in settings or ():
+            repeated += ["--set", setting]
+    return _command("run", scene, *repeated, "--resume", "--out", folder)
+
+
+def _kept(folder: Path, go_on: str) -> str:
+    """What is left of a run that was broken off."""
+    saved = (folder / "run.json").exists()
+    return f"what was saved is kept; go on with: {go_on}" if saved else "nothing was saved yet"
+
+
+@app.command()
+def check(
+    scene: SceneOrFile,
+    nodes: Nodes = None,
+    t_end: EndTime = None,
+    seed: Seed = None,
+    settings: Setting = None,
+) -> None:
+    """Say what a scene or a scene file will run and what that takes; build it and say what pushes its start.
+
+    No run is compiled, only the forces at the start.
+    """
+    from jaxcrumple.run.check import check_built, described
+
+    given = {"nodes": nodes, "t_end": t_end, "seed": seed}
+    config = _asked(scene, settings, {key: value for key, value in given.items() if value is not None})
+    for line in described(config):
+        say(line)
+    balance = check_built(config)
+    say(
+        "starts in balance, clear of itself and its walls"
+        if balance.in_balance
+        else "starts out of balance, so the sheet moves at once:"
+    )
+    for line in balance.lines:
+        say(f"  {line}")
+
+
+def _is_file(scene: str) -> bool:
+    return scene.endswith(".toml")
+
+
+def _asked(scene: str, settings: list[str] | None, top: dict[str, Any]) -> "RunConfig":
+    """The configuration of a scene or a scene file, with what else is given."""
+    from jaxcrumple.run.config import configure
+    from jaxcrumple.run.scene_file import read_scene_file
+
+    make = read_scene_file if _is_file(scene) else configure
+    return make(scene, settings=settings or (), **top)
+
+
+app.add_typer(calibrations, name="calibrate")
+
+SweepPath = Annotated[
+    Path, typer.Argument(help="TOML file: scene, t_end, frames, max_seconds; tables settings, over.")
+]
+SchedulerAddress = Annotated[
+    str | None, typer.Option(help="Address of a Dask scheduler (default: workers on this machine).")
+]
+
+
+@app.command()
+def sweep(
+    file: SweepPath,
+    out: Annotated[Path | None, typer.Option(help="New netCDF file (default: FILE with .nc).")] = None,
+    backend: Annotated[str, typer.Option(help="auto, batch or processes.")] = "auto",
+    scheduler: SchedulerAddress = None,
+    max_seconds: Limit = None,
+) -> None:
+    """Run a scene over a grid of its numbers, and write all outcomes to one netCDF file."""
+    from jaxcrumple.io.atomic import write_bytes
+    from jaxcrumple.simulate import frame_times
+    from jaxcrumple.sweep.file import read_sweep
+    from jaxcrumple.sweep.sweep import sweep
+
+    limit, asked = _seconds(max_seconds), read_sweep(file)
+    path = out or file.with_suffix(".nc")
+    if path.exists():
+        raise ValueError(f"{path} exists; give another --out, or remove it.")
+    check_place(path, "--out")
+    again = _command("campaign", file)
+    with noted(lambda: f"a sweep keeps nothing before its end; what keeps each run is: {again}"):
+        table = sweep(
+            asked.scene,
+            asked.over,
+            frame_times(asked.end, asked.frames or 1)[1:],
+            settings=asked.settings,
+            backend=backend,  # type: ignore[arg-type]
+            cluster=scheduler,
+            max_seconds=asked.max_seconds if limit is None else limit,
+            tell=_tell_case,
+        )
+    write_bytes(path, bytes(table.to_netcdf(engine="scipy")))
+    say(f"{table.result.size} runs in {table.attrs['seconds']:.0f} s: {path}")
+    _all_must_succeed((table.result == "success").all())
+
+
+@app.command()
+def campaign(
+    file: SweepPath,
+    out: Annotated[Path | None, typer.Option(help="Folder of all runs (default: runs/FILE).")] = None,
+    scheduler: SchedulerAddress = None,
+    max_seconds: Limit = None,
+) -> None:
+    """Run a scene over a grid, each run into a folder of its own; again: only what is missing."""
+    from jaxcrumple.sweep import campaign, grid
+    from jaxcrumple.sweep.file import read_sweep
+
+    limit, asked, folder = _seconds(max_seconds), read_sweep(file), out or Path("runs") / file.stem
+    frames = {} if asked.frames is None else {"frames": asked.frames}
+    runs = grid(asked.scene, asked.over, asked.settings | frames, t_end=asked.end)
+    limit = asked.max_seconds if limit is None else limit
+    with noted(lambda: f"what was saved is kept in {folder}; go on with the same command"):
+        table = campaign(runs, folder, cluster=scheduler, max_seconds=limit, tell=_tell_case)
+    say(f"{len(table)} runs: {folder / 'campaign.csv'}")
+    _all_must_succeed((table["result"] == "success").all())
+
+
+@app.command()
+def figure(
+    name: Annotated[str, typer.Argument(help="Number of the paper's figure, such as 8b.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of runs and pictures (default: figures/NAME).")
+    ] = None,
+    full: Annotated[bool, typer.Option("--full", help="At the paper's size, not that of a laptop.")] = False,
+) -> None:
+    """Do the runs of a figure of the paper that its folder lacks, and draw it."""
+    from jaxcrumple.options.suggest import nearest
+    from jaxcrumple.paper import FIGURES, make_figure
+
+    if name not in FIGURES:
+        raise ValueError(f"figure {name!r} is unknown{nearest(name, FIGURES)}")
+    folder = out or Path("figures") / (f"{name}_full" if full else name)
+    with noted(lambda: f"the runs that have ended are kept in {folder}; go on with the same command"):
+        for path in make_figure(FIGURES[name], folder, full=full, tell=_tell_case):
+            say(str(path))
+
+
+def _tell_case(name: str, result: str) -> None:
+    say(f"{name}: {result}")
+
+
+def _all_must_succeed(success) -> None:
+    if not success:
+        raise typer.Exit(ENDED)
+
+
+@app.command()
+def scenes(
+    toml: Annotated[
+        str | None, typer.Option(metavar="SCENE", help="Write a scene file with all defaults instead.")
+    ] = None,
+) -> None:
+    """List the scenes and their options with defaults."""
+    from jaxcrumple.run.config import MaterialOptions, RunConfig, SolverOptions
+    from jaxcrumple.scenes import SCENES
+
+    if toml is not None:
+        from jaxcrumple.run.template import template
+
+        print(template(toml), end="")
+        return
+    for name, entry in SCENES.items():
+        console.print(f"[bold]{name}[/bold]: {entry.summary}; ends at t = {entry.t_end:g} s")
+        _print_options(entry.options)
+    console.print(
+        f"[bold]every run[/bold]\n  frames={RunConfig.model_fields['frames'].default} saved after the start"
+    )
+    _print_options(MaterialOptions)
+    _print_options(SolverOptions)
+
+
+def _print_options(model) -> None:
+    options = ", ".join(f"{name}={field.default}" for name, field in model.model_fields.items())
+    console.print(f"  {model.__doc__}\n    {options}", markup=False)
+
+
+@app.command()
+def plot(folder: Annotated[Path, typer.Argument(help="Folder of a run, finished or not.")]) -> None:
+    """Draw the pictures of a run again, and write its film for ParaView."""
+    from jaxcrumple.io import RunDirectory
+    from jaxcrumple.run.run import film
+
+    pictures = _plot(folder)
+    for picture in [*pictures, film(RunDirectory.open(folder))]:
+        say(str(picture))
+
+
+@app.command()
+def verify(folder: Annotated[Path, typer.Argument(help="Folder of a run, or of several.")]) -> None:
+    """Compare all files of a run with their checksums. Nothing is changed."""
+    from jaxcrumple.io import RunDirectory, verify_runs
+
+    found = verify_runs(folder)
+    for place, wrong in found.items():
+        counts = "" if wrong else ", {2} frames, {0} rows of history".format(*RunDirectory.open(place).counts)
+        say(f"{place}: {'damaged' if wrong else 'sound'}{counts}")
+        for cause in wrong.values():
+            say(f"  {cause}")
+        if wrong:
+            say(f"  go back to what is sound: jaxcrumple repair {place}")
+    if any(found.values()):
+        raise typer.Exit(1)
+
+
+@app.command()
+def repair(folder: Annotated[Path, typer.Argument(help="Folder of a run.")]) -> None:
+    """Take a damaged run back to the last moment at which all of it is sound, to go on from there."""
+    from jaxcrumple.io import RunDirectory
+    from jaxcrumple.run.run import repair_run
+
+    t = repair_run(folder)
+    if t is None:
+        say(f"{folder} is sound; nothing was changed")
+        return
+    run = RunDirectory.open(folder)
+    counts, scene = run.counts, run.config["scene"]
+    say(f"{counts.frames} frames and {counts.history_rows} rows of history are left")
+    if pictures := sorted(path.name for path in folder.glob("*.png")):
+        say(f"drawn before that: {', '.join(pictures)}")
+    say(f"{folder} is at t = {t:.4g} s again; go on with: jaxcrumple run {scene} --resume --out {folder}")
+
+
+def _plot(folder: Path) -> list[Path]:
+    from jaxcrumple.plot.plot import plot_run
+
+    return plot_run(folder)
+
+
+def _report(summary: dict) -> None:
+    steps, share, energy = summary["steps"], summary["dynamic_share"], summary["energy"]
+    lines = [
+        f"result: {summary['result']} ({summary['message']})",
+        f"t = {summary['t_reached']:.4g} s after {summary['run_s']:.0f} s ({summary['cpu_s']:.0f} CPU s; "
+        f"{summary['compile_s']:.0f} s of compiling at the last start included), rtol {summary['rtol']:g}",
+        f"steps: {steps['quasistatic']} quasistatic, {steps['implicit']} implicit and {steps['explicit']} "
+        f"explicit with inertia, {steps['rejected']} "
+        f"rejected; {summary['switches']} switches",
+        f"inertia: {share['time']:.2%} of the time, {share['steps']:.1%} of the steps",
+        f"energy: {energy['bending'] * 1e3:.3g} mJ bending, {energy['stretch'] * 1e3:.3g} mJ stretch",
+        f"edge strain: {summary['max_edge_strain']:.2%} largest, {summary['rms_edge_strain']:.2%} rms; "
+        f"wall penetration {summary['max_wall_penetration'] * 1e6:.3g} um; "
+        f"creases {summary['crease_length'] * 100:.3g} cm",
+    ]
+    for line in lines:
+        say(line)

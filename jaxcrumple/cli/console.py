@@ -1,0 +1,328 @@
+"""What the command says on its way out: one line for whatever ended it, and the code to exit with."""
+
+import errno
+import importlib.metadata
+import os
+import platform
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any, NoReturn
+
+import jax
+import typer
+from rich.console import Console
+
+from jaxcrumple.options.suggest import one_line
+from jaxcrumple.sweep.cluster import WorkersLostError
+
+console = Console()
+
+# Exit codes, beside 0: a run that ended otherwise than in success, what cannot be done as it was asked, a bug
+# of the program. A signal's is 128 and its number.
+ENDED, REFUSED, BUG = 1, 2, 70
+SIGNALED = 128
+# Signals that stop the command as Ctrl-C does. Programs such as `timeout` send theirs twice: one that comes
+# within so many seconds of the first is no impatience.
+SIGNALS, GRACE = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP), 2.0
+LESS = "take fewer --nodes, fewer cases side by side, or a machine with more"
+
+
+class Stopped(BaseException):
+    """A signal that stops the command; no KeyboardInterrupt, for libraries answer that themselves."""
+
+    def __init__(self, number: int):
+        super().__init__(signal.Signals(number).name)
+        self.number = number
+
+
+class Hint(str):
+    """A note on an exception that says how to go on; libraries add notes of their own."""
+
+
+class OutputLostError(Exception):
+    """Standard output that takes no more; not OSError, for the same reason."""
+
+    def __init__(self, error: OSError):
+        super().__init__(error.strerror or str(error))
+        self.broken_pipe = error.errno == errno.EPIPE
+
+
+def say(text: str, style: str | None = None) -> None:
+    """A line on standard output, as it is: no markup, no line breaks of its own."""
+    console.print(one_line(text), style=style, markup=False, emoji=False, highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def noted(words: Callable[[], str]) -> Iterator[None]:
+    """Say `words()`, how to go on, of what ends the command inside, unless that is a refusal, which says it
+    itself."""
+    try:
+        yield
+    except (ValueError, typer.Exit):
+        raise
+    except BaseException as error:
+        error.add_note(Hint(words()))
+        raise
+
+
+def check_place(path: Path, option: str) -> None:
+    """Refuse a file that cannot be written, before any work for it."""
+    folder = path.absolute().parent
+    if path.is_dir():
+        raise ValueError(f"{path} is a folder; give {option} a file.")
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return
+    except OSError as error:
+        raise ValueError(f"{folder} is no folder that may be written; give another {option}.") from error
+
+
+def run_program(app: Callable[[], Any]) -> NoReturn:
+    """Call a program of Typer's, say what ended it, and exit."""
+    jax.config.update("jax_enable_x64", True)
+    with _stoppable(), _guarded_output(), warnings.catch_warnings():
+        warnings.showwarning = _shown_once()
+        try:
+            code = _called(app)
+            sys.stdout.flush()
+        except BaseException as error:
+            code = _told(error)
+    sys.exit(code)
+
+
+def _shown_once() -> Callable[..., None]:
+    """Show warnings in a line each, those of the same text once."""
+    seen: set[str] = set()
+
+    def show(message: Warning | str, *_: Any) -> None:
+        if (text := str(message)) not in seen:
+            seen.add(text)
+            _complain(f"warning: {text}", style="yellow")
+
+    return show
+
+
+def keep_programs() -> None:
+    """Keep compiled programs between runs, unless the user chose a place, or there is none."""
+    # A cache that cannot be read or written costs time and nothing else.
+    warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache")
+    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
+        return
+    try:
+        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        place = base.absolute() / "jaxcrumple" / "xla"
+        place.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=place):
+            jax.config.update("jax_compilation_cache_dir", str(place))
+    except (OSError, RuntimeError) as error:
+        _complain(f"note: no compiled programs are kept, so each start compiles again: {error}", style=None)
+
+
+def _called(app: Callable[[], Any]) -> int:
+    """The code that a program ends with."""
+    try:
+        app()
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else 0
+    return 0
+
+
+def _told(error: BaseException) -> int:
+    """Say on standard error what ended the program; the code for it."""
+    text, code = explained(error)
+    if code == BUG:
+        _complain("".join(traceback.format_exception(error)).rstrip(), lines=True)
+    # A traceback has the notes already.
+    notes = [] if code == BUG else getattr(error, "__notes__", [])
+    hints = [note for note in notes if isinstance(note, Hint)]
+    words = "; ".join(part for part in (text, *hints) if part)
+    if words:
+        _complain(words, style="yellow" if isinstance(error, Stopped) else "red")
+    return code
+
+
+def explained(error: BaseException) -> tuple[str, int]:
+    """What ended the program in words, with a cure where one is known, and the code to exit with."""
+    match error:
+        case Stopped() | KeyboardInterrupt():
+            number = error.number if isinstance(error, Stopped) else signal.SIGINT
+            return "stopped" if number == signal.SIGINT else f"stopped by {error}", SIGNALED + number
+        case OutputLostError():
+            if error.broken_pipe:
+                return "", SIGNALED + signal.SIGPIPE
+            return f"error: standard output cannot be written: {error}", ENDED
+        case MemoryError():
+            return f"error: not enough memory{_more(error)}; {LESS}", ENDED
+        case jax.errors.JaxRuntimeError() if "RESOURCE_EXHAUSTED" in str(error):
+            return f"error: not enough memory on {jax.devices()[0].platform}{_more(error)}; {LESS}", ENDED
+        case WorkersLostError():
+            return f"error: {error}", ENDED
+        case UnicodeError():
+            return f"error: a text or name is no valid Unicode{_more(error)}; give it in UTF-8", REFUSED
+        case RecursionError():
+            return "error: what was given is nested too deeply; give it with fewer levels", REFUSED
+        case ArithmeticError():
+            what = f"({type(error).__name__}: {error}, in {_place(error)})"
+            cure = "look at the powers of ten of what was given"
+            return f"error: a number is too large or too small to compute with {what}; {cure}", REFUSED
+        case OSError() if error.strerror:
+            return f"error: {_file(error)}{error.strerror}; {_cure(error)}", REFUSED
+        case ValueError() if _is_ours(error):
+            return f"error: {error}", REFUSED
+    if trouble := _backend_trouble():
+        return f"error: JAX has no device to run on ({trouble}); unset JAX_PLATFORMS", REFUSED
+    return (
+        f"error: this is a bug of jaxcrumple, or of a library under it: {type(error).__name__}: {error}. "
+        f"Please report it with the lines above, the command, and the versions: {_versions()}",
+        BUG,
+    )
+
+
+def _backend_trouble() -> str:
+    """Why JAX has no device, as where JAX_PLATFORMS names one that this machine lacks; empty where it has."""
+    try:
+        jax.devices()
+    except (RuntimeError, AssertionError) as error:
+        lines = str(error).splitlines()
+        return lines[0] if lines else "none of its platforms is here"
+    return ""
+
+
+def _more(error: BaseException) -> str:
+    """The first line of an error's message in brackets, where it has one."""
+    lines = str(error).splitlines()
+    return f" ({lines[0]})" if lines else ""
+
+
+def _file(error: OSError) -> str:
+    return "" if error.filename is None else f"{os.fsdecode(error.filename)}: "
+
+
+def _cure(error: OSError) -> str:
+    cures = {
+        errno.ENOSPC: "free some space, or choose a folder on another disk; what was saved before is intact",
+        errno.EDQUOT: "free some space, or choose a folder on another disk; what was saved before is intact",
+        errno.ENAMETOOLONG: "give a shorter name",
+        errno.EMFILE: "raise the limit on open files (ulimit -n)",
+        errno.EACCES: "change its permissions, or choose another place",
+        errno.EPERM: "change its permissions, or choose another place",
+        errno.EROFS: "choose a place on a disk that may be written",
+    }
+    return cures.get(error.errno or 0, "check the path and the disk; what was saved before is intact")
+
+
+def _is_ours(error: ValueError) -> bool:
+    """Whether a ValueError is a refusal: one that this package raised, with cause and cure. Those of other
+    packages are what it should have refused before."""
+    return type(error).__module__.startswith("jaxcrumple") or _raiser(error).startswith("jaxcrumple")
+
+
+def _raiser(error: BaseException) -> str:
+    """The module that raised."""
+    frames = list(traceback.walk_tb(error.__traceback__))
+    return str(frames[-1][0].f_globals.get("__name__")) if frames else ""
+
+
+def _place(error: BaseException) -> str:
+    """File and line of the last call in this package."""
+    frames = traceback.extract_tb(error.__traceback__)
+    ours = [frame for frame in frames if "jaxcrumple" in Path(frame.filename).parts] or frames
+    return f"{Path(ours[-1].filename).name}, line {ours[-1].lineno}" if ours else "an unknown place"
+
+
+def _versions() -> str:
+    versions = [f"{name} {importlib.metadata.version(name)}" for name in ("jaxcrumple", "jax", "numpy")]
+    return ", ".join([*versions, f"Python {platform.python_version()}"])
+
+
+def _complain(text: str, style: str | None = "red", lines: bool = False) -> None:
+    """Write to standard error, where there is one."""
+    error = Console(stderr=True)
+    try:
+        error.print(
+            text if lines else one_line(text),
+            style=style,
+            markup=False,
+            emoji=False,
+            highlight=False,
+            soft_wrap=True,
+        )
+    except (OSError, SystemExit):  # Rich answers a broken pipe by SystemExit.
+        return
+
+
+class _Stop:
+    """Raises `Stopped` at the first signal; one that comes after a while ends the process at once."""
+
+    def __init__(self) -> None:
+        self.first: float | None = None
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        now = time.monotonic()
+        if self.first is None:
+            self.first = now
+            raise Stopped(number)
+        if now - self.first > GRACE:
+            signal.signal(number, signal.SIG_DFL)
+            os.kill(os.getpid(), number)
+
+
+@contextmanager
+def _stoppable() -> Iterator[None]:
+    """Let signals raise `Stopped` inside, except those that whoever started this process wants ignored."""
+    stop = _Stop()
+    wanted = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, stop) for number in wanted}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+class _Output:
+    """A stream whose failures are `OutputLostError`."""
+
+    def __init__(self, stream: Any):
+        self.stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.stream, name)
+
+    def write(self, text: str) -> int:
+        try:
+            return self.stream.write(text)
+        except OSError as error:
+            raise OutputLostError(error) from error
+
+    def flush(self) -> None:
+        try:
+            self.stream.flush()
+        except OSError as error:
+            raise OutputLostError(error) from error
+
+
+@contextmanager
+def _guarded_output() -> Iterator[None]:
+    """Let standard output fail as `OutputLostError` inside, and show what its encoding lacks as escapes."""
+    stream = sys.stdout
+    if hasattr(stream, "reconfigure"):
+        stream.reconfigure(errors="backslashreplace")
+    sys.stdout = _Output(stream)  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        sys.stdout = stream
+        try:
+            stream.flush()
+        except OSError:  # Python would say so again as it ends.
+            with open(os.devnull, "w") as nowhere:
+                os.dup2(nowhere.fileno(), stream.fileno())

@@ -1,0 +1,97 @@
+"""Which sites of a triangle lie near something: whole numbers along the rows of its lattice."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxcrumple.geometry.distance import TINY
+from jaxcrumple.geometry.hinge import Vec, add, cross, dot, scale, sub
+
+# Sites are found that miss a bound by this much of their spacing or their reach.
+ROUNDING = 1e-6
+
+
+class Lattice:
+    """The sites of a triangle by rows: those whose weight of the first corner is the same."""
+
+    def __init__(self, weights: Array):
+        self.weights, self.count = weights, weights.shape[0]
+        self.parts = (int(np.sqrt(8 * self.count + 1)) - 3) // 2
+        self.row = np.arange(self.parts + 1)
+        self.first = jnp.asarray(self.row * (self.parts + 1) - self.row * (self.row - 1) // 2, jnp.int32)
+
+    def point(self, site: Array, corners: tuple[Vec, ...]) -> Vec:
+        """Positions of sites (m,) of triangles with given corners."""
+        a, b, c = (scale(self.weights[:, k][site], corner) for k, corner in enumerate(corners))
+        return add(add(a, b), c)
+
+    def steps(self, point: Vec, corners: tuple[Vec, ...]) -> tuple[Vec, Vec, Vec]:
+        """From points to the site of the third corner, from there to the next row, and along a row."""
+        row, step = (scale(1.0 / self.parts, sub(corners[k], corners[2])) for k in range(2))
+        return sub(corners[2], point), row, step
+
+
+def in_prism(
+    lattice: Lattice, first: tuple[Vec, ...], second: tuple[Vec, ...], reach: Array
+) -> tuple[Array, Array]:
+    """Intervals (m, r) of sites of the first triangles in a prism around the second ones, `reach` (m,) wide.
+
+    The prism's five sides are planes, and a site's height above one is linear in its number in a row.
+    """
+    edges = [sub(second[(k + 1) % 3], second[k]) for k in range(3)]
+    normal = _unit(cross(edges[0], edges[1]))
+    low, high = jnp.asarray(-jnp.inf), jnp.asarray(jnp.inf)
+    for corner, direction in [
+        (second[0], normal),
+        (second[0], scale(-1.0, normal)),
+        *((second[k], _unit(cross(edges[k], normal))) for k in range(3)),
+    ]:
+        # Once a triangle, which the compiler would do again for each of its rows.
+        a, b, c = jax.lax.optimization_barrier(tuple(dot(sub(p, corner), direction) for p in first))
+        row, rise = (a - c) / lattice.parts, ((b - c) / lattice.parts)[:, None]
+        room = (reach - c)[:, None] - row[:, None] * lattice.row
+        # The sign of what is zero but for rounding may change from one use to the next.
+        least = (ROUNDING * reach / lattice.parts)[:, None]
+        steep = jnp.abs(rise) > least
+        end = room / jnp.where(steep, rise, 1.0)
+        low = jnp.maximum(low, jnp.where(steep & (rise < 0), end, -jnp.inf))
+        level = jnp.where(room >= -least, jnp.inf, -jnp.inf)
+        high = jnp.minimum(high, jnp.where(steep, jnp.where(rise > 0, end, jnp.inf), level))
+    return _whole(low, high, lattice.parts - lattice.row)
+
+
+def across(a: Vec, b: Vec) -> Vec:
+    """The part of vectors that is normal to others."""
+    return sub(a, scale(dot(a, b) / (dot(b, b) + TINY), b))
+
+
+def within(start: Vec, step: Vec, reach: Array, last: Array | int) -> tuple[Array, Array]:
+    """Intervals (m, 1) of whole numbers k up to `last` for which `start` + k `step` is no longer than
+    `reach`: its square is quadratic in k."""
+    square = dot(step, step) + TINY
+    middle = -dot(start, step) / square
+    half = middle * middle - (dot(start, start) - reach * reach) / square
+    width = jnp.where(half >= 0, jnp.sqrt(jnp.maximum(half, 0.0)), -jnp.inf)
+    first, behind = _whole(middle - width, middle + width, last)
+    return first[:, None], behind[:, None]
+
+
+def without(whole: tuple[Array, Array], part: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Intervals (m, 2): of intervals (m, 1) what lies before others and what lies behind them."""
+    (first, behind), (begin, end) = whole, part
+    empty = begin >= end
+    begin, end = jnp.where(empty, behind, begin), jnp.where(empty, behind, end)
+    starts = jnp.concatenate([first, jnp.maximum(first, end)], axis=1)
+    return starts, jnp.concatenate([jnp.minimum(behind, begin), behind], axis=1)
+
+
+def _whole(low: Array, high: Array, last: Array | int | np.ndarray) -> tuple[Array, Array]:
+    """Whole numbers from 0 to `last` between `low` and `high`: the first one and the one behind the last."""
+    first = jnp.ceil(jnp.clip(low - ROUNDING, 0.0, last + 1.0))
+    behind = jnp.floor(jnp.clip(high + ROUNDING, -1.0, last)) + 1.0
+    return first.astype(jnp.int32), behind.astype(jnp.int32)
+
+
+def _unit(a: Vec) -> Vec:
+    return scale(1.0 / jnp.sqrt(dot(a, a) + TINY), a)

@@ -1,0 +1,98 @@
+"""Distances between points, segments, triangles and boxes (Ericson, Real-Time Collision Detection, ch. 5).
+
+Vectors are tuples of three arrays, as in `geometry`; all formulas broadcast. Branches are clamps and
+minima, so that one kernel serves any number of pairs.
+"""
+
+from functools import reduce
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxcrumple.geometry.hinge import Vec, cross, dot, scale, sub
+
+# Pairs of a corner of one triangle with the other triangle, and of their edges: (side, corner), (edge, edge).
+CORNERS = tuple((side, corner) for side in range(2) for corner in range(3))
+EDGES = tuple((first, second) for first in range(3) for second in range(3))
+# Ends of the edges of a triangle.
+ENDS = ((0, 1), (1, 2), (2, 0))
+# Squared sine below which two segments count as parallel, and a square that no length here falls below, m2.
+PARALLEL, TINY = 1e-12, 1e-60
+
+
+def segment_segment(p1: Vec, p2: Vec, q1: Vec, q2: Vec) -> Array:
+    """Squared distance between the segments p1 p2 and q1 q2."""
+    d1, d2, r = sub(p2, p1), sub(q2, q1), sub(p1, q1)
+    a, e = dot(d1, d1) + TINY, dot(d2, d2) + TINY
+    b, c, f = dot(d1, d2), dot(d1, r), dot(d2, r)
+    determinant = a * e - b * b
+    skew = determinant > PARALLEL * a * e
+    s = jnp.where(skew, jnp.clip((b * f - c * e) / jnp.where(skew, determinant, 1.0), 0.0, 1.0), 0.0)
+    t = jnp.clip((b * s + f) / e, 0.0, 1.0)
+    s = jnp.clip((b * t - c) / a, 0.0, 1.0)
+    d = sub(sub(r, scale(t, d2)), scale(-s, d1))
+    return dot(d, d)
+
+
+def point_plane(p: Vec, a: Vec, b: Vec, c: Vec) -> Array:
+    """Squared distance of a point from the triangle a b c where its foot lies inside, else infinity."""
+    e0, e1, r = sub(b, a), sub(c, a), sub(p, a)
+    n = cross(e0, e1)
+    area = dot(n, n) + TINY
+    u, v = dot(cross(r, e1), n) / area, dot(cross(e0, r), n) / area
+    height = dot(r, n)
+    return jnp.where((u >= 0) & (v >= 0) & (u + v <= 1), height * height / area, jnp.inf)
+
+
+def primitive_distances(first: tuple[Vec, ...], second: tuple[Vec, ...]) -> Array:
+    """Squared distances (15, ...) between the parts of two triangles, three corners each.
+
+    The first six are those of a corner above the other triangle (`CORNERS`; infinite where its foot lies
+    outside: an edge is nearer then), the others those of two edges (`EDGES`). Their minimum is the squared
+    distance of triangles that do not intersect.
+    """
+    sides = jnp.stack([jnp.stack([jnp.stack(c) for c in side]) for side in (first, second)])
+    # Loops over the parts rather than fifteen expressions: compiled once, they take a tenth of the time.
+    side, corner = np.array(CORNERS).T
+
+    def above(part: tuple[Array, Array]) -> Array:
+        point, triangle = sides[part[0], part[1]], sides[1 - part[0]]
+        return point_plane(_vec(point), *map(_vec, triangle))
+
+    def between(part: tuple[Array, Array]) -> Array:
+        (a, b), (c, d) = sides[0][part[0]], sides[1][part[1]]
+        return segment_segment(_vec(a), _vec(b), _vec(c), _vec(d))
+
+    one, two = np.array(EDGES).T
+    ends = np.array(ENDS)
+    corners = jax.lax.map(above, (jnp.asarray(side), jnp.asarray(corner)))
+    edges = jax.lax.map(between, (jnp.asarray(ends[one]), jnp.asarray(ends[two])))
+    return jnp.concatenate([corners, edges])
+
+
+def _vec(a: Array) -> Vec:
+    return (a[0], a[1], a[2])
+
+
+def shared_parts(first: Array, second: Array) -> Array:
+    """Which of the parts of `primitive_distances` (15, m) share a node: node numbers (m, 3), (m, 3)."""
+    same = first[:, :, None] == second[:, None, :]
+    owned = [jnp.any(same[:, k] if s == 0 else same[:, :, k], axis=1) for s, k in CORNERS]
+    for i, j in EDGES:
+        owned.append(jnp.any(same[:, np.array(ENDS[i])][:, :, np.array(ENDS[j])], axis=(1, 2)))
+    return jnp.stack(owned)
+
+
+def boxes(corners: Array, extent: Array) -> tuple[Vec, Vec]:
+    """Lowest and highest coordinates, three (f,) each, of triangles with `corners` (f, 3, 3) that move by
+    `extent` (f,)."""
+    low, high = jnp.min(corners, axis=1) - extent[:, None], jnp.max(corners, axis=1) + extent[:, None]
+    return (low[:, 0], low[:, 1], low[:, 2]), (high[:, 0], high[:, 1], high[:, 2])
+
+
+def boxes_meet(low: Vec, high: Vec, one: Array, two: Array, range: Array) -> Array:
+    """Whether the boxes `one` (m,) and `two` (m,) come within the range of one another."""
+    apart = [jnp.maximum(a[one] - b[two], a[two] - b[one]) for a, b in zip(low, high, strict=True)]
+    return reduce(jnp.maximum, apart) <= range

@@ -1,0 +1,59 @@
+"""Where a sheet passes through itself: edges that pierce triangles, found by a tree on the host."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+
+from jaxcrumple._jax.memory import require, times_that_fit
+
+# Bytes of a pair of a segment and a triangle that is looked at.
+PAIR = 60.0
+
+
+def intersections(x: ArrayLike, faces: ArrayLike, edges: ArrayLike) -> np.ndarray:
+    """Edges that pierce a triangle with which they share no node.
+
+    Where two triangles intersect, an edge of one pierces the other. An edge that only touches a plane from
+    one side does not count.
+
+    **Arguments:** `x` (n, 3) positions in m; `faces` (f, 3), `edges` (e, 2) node numbers.
+
+    **Returns:** (k, 2) rows of `edges` and of `faces`.
+    """
+    x, faces, edges = np.asarray(x, float), np.asarray(faces), np.asarray(edges)
+    pairs = close_pairs(x[edges], x[faces])
+    ends, corners = edges[pairs[:, 0]], faces[pairs[:, 1]]
+    apart = ~np.any(ends[:, :, None] == corners[:, None], axis=(1, 2))
+    pairs, ends, corners = pairs[apart], ends[apart], corners[apart]
+    return pairs[pierces(x[ends], x[corners])]
+
+
+def close_pairs(ends: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Pairs (m, 2) of a segment and a triangle, of `ends` (k, 2, 3) and `corners` (f, 3, 3), whose bounding
+    boxes overlap."""
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    first, last = ends.min(axis=1), ends.max(axis=1)
+    center, middle = 0.5 * (low + high), 0.5 * (first + last)
+    reach = 0.5 * (np.linalg.norm(high - low, axis=1).max() + np.linalg.norm(last - first, axis=1).max())
+    segments, triangles = cKDTree(middle), cKDTree(center)
+    if len(ends) and times_that_fit(PAIR * len(ends) * len(corners)) < 1.0:
+        pairs = float(segments.count_neighbors(triangles, reach))
+        what = f"the search among {pairs:.2g} pairs of segments and triangles, up to {reach:.3g} m apart,"
+        require(PAIR * pairs, what, "give triangles of more equal size, or shorter chords")
+    near = segments.sparse_distance_matrix(triangles, reach, output_type="ndarray")
+    edge, face = near["i"], near["j"]
+    overlap = np.all((low[face] <= last[edge]) & (first[edge] <= high[face]), axis=1)
+    return np.stack([edge[overlap], face[overlap]], axis=1)
+
+
+def pierces(ends: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Whether segments (m, 2, 3) pass through triangles (m, 3, 3), by the signs of five volumes."""
+    start, end = ends[:, 0], ends[:, 1]
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+
+    def volume(p: np.ndarray, q: np.ndarray, r: np.ndarray, s: np.ndarray) -> np.ndarray:
+        return np.einsum("ij,ij->i", np.cross(q - p, r - p), s - p)
+
+    sides = volume(a, b, c, start) * volume(a, b, c, end) < 0
+    around = np.stack([volume(start, end, a, b), volume(start, end, b, c), volume(start, end, c, a)])
+    return sides & (np.all(around >= 0, axis=0) | np.all(around <= 0, axis=0))

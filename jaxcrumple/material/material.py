@@ -1,0 +1,238 @@
+"""From properties of a sheet in SI units to the constants of the discrete model.
+
+Equation numbers refer to Andrejevic & Rycroft, J. Comput. Phys. (2022) 111607. The defaults describe the
+sheet of its Fig. 3 (0.25 mm thick, 1 GPa) at the density of water.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxcrumple._jax.tree import as_float, is_known
+from jaxcrumple.mesh.mesh import FloatArray, Mesh
+
+MAX_C0 = 1.99
+"""Largest c0 of a hinge. |c| ends at 2, so c0 >= 2 would never yield, and (35) divides by 2 - c0."""
+
+DEFAULT_YIELD_CURVATURE = 200.0
+"""[1/m]: yield at a radius of 5 mm, 2.5 % strain at the surface of a sheet 0.25 mm thick."""
+
+
+class _Default:
+    def __repr__(self) -> str:
+        return f"{DEFAULT_YIELD_CURVATURE} unless yield_c0 is given"
+
+
+_DEFAULT: Any = _Default()
+_NONNEGATIVE = "a finite number >= 0"
+_POSITIVE = "a finite number > 0"
+_FIELDS = {
+    "young_modulus": ("Pa", _POSITIVE),
+    "thickness": ("m", _POSITIVE),
+    "density": ("kg/m^3", _POSITIVE),
+    "yield_curvature": ("1/m", _NONNEGATIVE),
+    "yield_c0": ("dimensionless", _NONNEGATIVE),
+    "gamma": ("dimensionless", _NONNEGATIVE),
+    "plastic_time": ("s", _POSITIVE),
+    "drag_rate": ("1/s", _NONNEGATIVE),
+    "internal_damping_time": ("s", _NONNEGATIVE),
+}
+_PER_NODE = ("thickness", "yield_curvature", "yield_c0")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Material:
+    """Properties of the sheet, in SI units. `thickness` and the yield fields may be arrays (n,), by node.
+
+    `yield_curvature` is a physical curvature; `discretize` turns it into the dimensionless yield curvature
+    c0 of (35) hinge by hinge, so that a refined mesh yields at the same bend. `yield_c0` sets c0 itself, as
+    the paper does; what it means then depends on the mesh (Fig. 3b). Give one of them.
+    `Material(yield_curvature=None)` is elastic. Numbers that JAX traces are not checked.
+
+    **Raises:** `ValueError` naming field, value and unit if a value is not finite or has the wrong sign, if
+    both yield fields are given, or for an unknown `mass_lumping`.
+    """
+
+    young_modulus: float = 1e9
+    """Y, three-dimensional [Pa]."""
+    thickness: float | FloatArray = 0.25e-3
+    """h [m]."""
+    density: float = 1000.0
+    """[kg/m^3]."""
+    yield_curvature: float | FloatArray | None = _DEFAULT
+    """Onset of plastic flow [1/m]; 200 unless `yield_c0` is given."""
+    yield_c0: float | FloatArray | None = None
+    """c0 of (35), dimensionless."""
+    gamma: float = 0.0
+    """gamma of (35), dimensionless. It enters as `plastic_time * (1 + gamma)` only."""
+    plastic_time: float = 1e-3
+    """Time scale of the plastic flow [s], which (34) leaves out: dp/dt = f / plastic_time."""
+    drag_rate: float = 1e3
+    """b_iso / m of (24) [1/s]."""
+    internal_damping_time: float = 2e-7
+    """b_int / ks of (25) [s]."""
+    mass_lumping: Literal["uniform", "area"] = "uniform"
+    """Equal node masses (the paper's choice), or masses in proportion to the area around each node."""
+
+    def __post_init__(self) -> None:
+        if self.yield_curvature is _DEFAULT:
+            default = DEFAULT_YIELD_CURVATURE if self.yield_c0 is None else None
+            object.__setattr__(self, "yield_curvature", default)
+        for name in _FIELDS:
+            object.__setattr__(self, name, _checked(name, getattr(self, name)))
+        if self.yield_curvature is not None and self.yield_c0 is not None:
+            raise ValueError(
+                "yield_curvature and yield_c0 both set the yield point; give one, None for the other"
+            )
+        if self.mass_lumping not in ("uniform", "area"):
+            raise ValueError(f"mass_lumping = {self.mass_lumping!r} is unknown; give 'uniform' or 'area'")
+
+    @property
+    def is_elastic(self) -> bool:
+        """Whether the sheet never yields."""
+        return self.yield_curvature is None and self.yield_c0 is None
+
+    @property
+    def young_modulus_2d(self) -> float | FloatArray:
+        """Y_2D = Y h [N/m], below (22)."""
+        return self.young_modulus * self.thickness
+
+    @property
+    def spring_constant(self) -> float | FloatArray:
+        """ks = sqrt(3)/2 Y_2D [N/m], (10)."""
+        return math.sqrt(3) / 2 * self.young_modulus_2d
+
+    @property
+    def bending_constant(self) -> float | FloatArray:
+        """kb = ks h^2 / 8 [J], (23) with h_eff = h."""
+        return self.spring_constant * self.thickness**2 / 8
+
+    @property
+    def bending_rigidity(self) -> float | FloatArray:
+        """kappa = sqrt(3)/2 kb [J], (14)."""
+        return math.sqrt(3) / 2 * self.bending_constant
+
+    def discretize(self, mesh: Mesh) -> ModelConstants:
+        """Constants of every spring, hinge and node of `mesh`.
+
+        Properties given per node are averaged over the two ends of a spring, and over the two ends of a
+        hinge's shared edge.
+
+        **Raises:** `ValueError` if an array does not have one value a node.
+        """
+        for name in _PER_NODE:
+            _check_length(name, getattr(self, name), mesh.n_nodes)
+        ks = _edge_mean(self.spring_constant, mesh)
+        mass = self._node_mass(mesh)
+        return ModelConstants(
+            ks=ks,
+            kb=_edge_mean(self.bending_constant, mesh)[mesh.hinge_edges],
+            mass=mass,
+            drag=self.drag_rate * mass,
+            b_int=self.internal_damping_time * ks,
+            c0=self._yield_point(mesh),
+            plastic_time=self.plastic_time,
+            gamma=self.gamma,
+            sigma=_number(
+                self._numpy.mean(self._numpy.sqrt(8 * self.bending_constant / self.spring_constant))
+            ),
+            a_ref=_number(ks.mean() / (mass.mean() * mesh.linear_density)),
+        )
+
+    def _node_mass(self, mesh: Mesh) -> FloatArray:
+        mass = self.density * self.thickness * mesh.node_area
+        if self.mass_lumping == "uniform":
+            return self._numpy.broadcast_to(mass.mean(), mass.shape)
+        return mass
+
+    def _yield_point(self, mesh: Mesh) -> FloatArray | None:
+        if self.yield_c0 is not None:
+            return self._numpy.minimum(_edge_mean(self.yield_c0, mesh)[mesh.hinge_edges], MAX_C0)
+        if self.yield_curvature is None:
+            return None
+        curvature = _edge_mean(self.yield_curvature, mesh)[mesh.hinge_edges]
+        return self._numpy.minimum(curvature * mesh.hinge_height, MAX_C0)
+
+    @property
+    def _numpy(self) -> Any:
+        """NumPy, or that of JAX where some number is traced."""
+        return np if is_known(*(getattr(self, name) for name in _FIELDS)) else jnp
+
+
+@dataclass(frozen=True, eq=False)
+class ModelConstants:
+    """Constants of the discrete model on one mesh of n nodes, e springs and h hinges."""
+
+    ks: FloatArray
+    """(e,) spring constants of (11) [N/m]."""
+    kb: FloatArray
+    """(h,) bending constants of (20) [J]."""
+    mass: FloatArray
+    """(n,) node masses [kg]."""
+    drag: FloatArray
+    """(n,) b_iso of (24) [kg/s]."""
+    b_int: FloatArray
+    """(e,) b_int of (25) [kg/s]."""
+    c0: FloatArray | None
+    """(h,) dimensionless yield curvatures of (35), at most `MAX_C0`, or None for an elastic sheet."""
+    plastic_time: float
+    """Time scale of the plastic flow [s]."""
+    gamma: float
+    """gamma of (35)."""
+    sigma: float
+    """Interaction range of (26): the mean effective thickness h_eff of (23) [m]."""
+    a_ref: float
+    """Reference acceleration ks / (m lambda) with the means of ks and m and lambda = sqrt(n / A) [m/s^2]."""
+
+
+def _edge_mean(nodal: float | FloatArray, mesh: Mesh) -> FloatArray:
+    numpy = np if is_known(nodal) else jnp
+    return numpy.broadcast_to(nodal, mesh.n_nodes)[mesh.edges].mean(axis=1)
+
+
+def _number(value: Any) -> Any:
+    return float(value) if is_known(value) else value
+
+
+def _checked(name: str, value: Any) -> Any:
+    """A float or a read-only array (n,); what JAX traces is taken as it is."""
+    if value is None and name in ("yield_curvature", "yield_c0"):
+        return None
+    unit, rule = _FIELDS[name]
+    if not is_known(value):
+        return as_float(value)
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        array = np.array(math.nan)
+    if array.ndim > (1 if name in _PER_NODE else 0):
+        cure = "a number or an array (n,)" if name in _PER_NODE else "a single number"
+        raise ValueError(f"{name} has shape {array.shape}; give {cure} in {unit}")
+    good = np.isfinite(array) & ((array > 0) if rule is _POSITIVE else (array >= 0))
+    if not good.all():
+        bad = (
+            f"{name} = {value!r}"
+            if array.ndim == 0
+            else f"{name}[{(i := int(np.argmin(good)))}] = {array[i]}"
+        )
+        raise ValueError(f"{bad} [{unit}] is not usable; give {rule}")
+    array.flags.writeable = False
+    return array if array.ndim else float(array)
+
+
+def _check_length(name: str, value: Any, n: int) -> None:
+    if np.ndim(value) and np.shape(value)[0] != n:
+        raise ValueError(
+            f"{name} has {np.shape(value)[0]} values but the mesh has {n} nodes; give one value a node"
+        )
+
+
+def changed(name: str, one: Material, other: Material) -> bool:
+    """Whether a property differs between two materials; one that JAX traces differs from all others."""
+    values = [math.nan if value is None else value for value in (getattr(one, name), getattr(other, name))]
+    return not (is_known(values) and np.array_equal(values[0], values[1], equal_nan=True))

@@ -1,0 +1,124 @@
+"""From what a file holds to the nodes and triangles of a sheet in metres: unit, polygons, merging."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from jaxcrumple.mesh.files.polygons import triangulated
+from jaxcrumple.mesh.files.read import read_surface
+from jaxcrumple.mesh.files.surface import MeshError, MeshWarning
+from jaxcrumple.options.suggest import nearest
+from jaxcrumple.options.units import LENGTH
+
+#: Points of an STL file, which lists three for each triangle, become one if they are closer than this,
+#: relative to the size of the surface: ten times the rounding of single precision.
+STL_MERGE = 1e-6
+
+_LARGEST, _SMALLEST = 5.0, 1e-3  # sizes of a sheet [m] beyond which its unit is doubtful
+_MOST_NEIGHBOURS = 64  # within the merging distance of a point, on average
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+def read_sheet(path: str | Path, merge: float | str | None, unit: str | None) -> tuple[FloatArray, IntArray]:
+    """Points (m, 3) of a file in metres, and its triangles (f, 3).
+
+    **Raises:** as `Mesh.from_file`.
+    """
+    factor = unit_length(unit)
+    distance = None if merge is None else merge_distance(merge)
+    surface = read_surface(path)
+    try:
+        faces = triangulated(surface)
+    except MeshError as error:
+        raise MeshError(f"{str(path)!r}: {error}") from error
+    used = surface.points[faces]
+    size = float(np.linalg.norm(np.ptp(used.reshape(-1, 3), axis=0)))
+    _warn_of_size(path, size, size * factor, unit)
+    if distance is None and Path(path).suffix.lower() == ".stl":
+        distance = STL_MERGE * size * factor
+    points = surface.points * factor
+    if distance is not None:
+        faces = merged(points, faces, distance)
+    return points, faces
+
+
+def unit_length(unit: str | None) -> float:
+    """A unit of length in metres.
+
+    **Raises:** `MeshError` for one that is unknown or of another dimension.
+    """
+    if unit is None:
+        return 1.0
+    try:
+        factor = LENGTH.si(f"1 {unit}")
+    except ValueError:
+        factor = None
+    if not isinstance(factor, float):
+        raise MeshError(f"unit = {unit!r} is no unit of length{nearest(str(unit), LENGTH.usual)}")
+    return factor
+
+
+def merge_distance(merge: float | str) -> float:
+    """A merging distance in metres, of a number or a string with a unit.
+
+    **Raises:** `MeshError` for one that is no length or negative.
+    """
+    try:
+        distance = float(LENGTH.si(merge))
+    except (TypeError, ValueError) as error:
+        raise MeshError(f"merge = {merge!r} is no length; give metres, or a string such as '1 um'") from error
+    if not 0 <= distance < np.inf:
+        raise MeshError(f"merge = {merge!r} is no distance; give a length of 0 m or more")
+    return distance
+
+
+def merged(points: FloatArray, faces: IntArray, distance: float) -> IntArray:
+    """Faces over the first of the points that are connected by steps of up to `distance`.
+
+    Triangles of which that leaves an edge or a point are dropped.
+
+    **Raises:** `MeshError` where so many points are so close that the sheet itself would vanish.
+    """
+    used = np.unique(faces)
+    where, first, inverse = np.unique(points[used], axis=0, return_index=True, return_inverse=True)
+    representative = used[first]
+    if distance > 0:
+        tree = cKDTree(where)
+        if tree.count_neighbors(tree, distance) > _MOST_NEIGHBOURS * len(where):
+            raise MeshError(f"merge = {distance:g} m would merge most of the sheet; give less than its edges")
+        pairs = tree.query_pairs(distance, output_type="ndarray")
+        graph = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(where),) * 2)
+        count, label = connected_components(graph, directed=False)
+        lowest = np.full(count, len(points))
+        np.minimum.at(lowest, label, representative)
+        representative = lowest[label]
+    table = np.arange(len(points))
+    table[used] = representative[inverse.ravel()]
+    changed = table[faces]
+    distinct = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    collapsed = distinct & (changed == np.roll(changed, 1, axis=1)).any(axis=1)
+    if collapsed.all():
+        raise MeshError(f"merge = {distance:g} m leaves no triangle; give less than the edges of the sheet")
+    return changed[~collapsed]
+
+
+def _warn_of_size(path: str | Path, raw: float, size: float, unit: str | None) -> None:
+    """Warn of a sheet whose unit is doubtful."""
+    if unit is None and size > _LARGEST:
+        said = f"is {size:.4g} m across, if its lengths are metres; give unit = 'mm' for millimetres, or 'm'"
+    elif unit is None and size < _SMALLEST:
+        said = f"is {size:.4g} m across, if its lengths are metres; give its unit, or 'm'"
+    elif unit is not None and size < _SMALLEST and size < raw < 1:
+        said = f"is {size:.4g} m across in the unit {unit!r}; if its lengths are metres, leave it out"
+    else:
+        return
+    warnings.warn(f"the sheet of {str(path)!r} {said}.", MeshWarning, stacklevel=4)

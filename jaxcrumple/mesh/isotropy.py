@@ -1,0 +1,206 @@
+"""The elastic sheet that a triangulation stands for: its stiffness by direction (a patch test).
+
+Springs and hinges have the constants of a lattice of equilateral triangles, (10), (14) and (23). On another
+triangulation the same constants make a sheet that is softer or stiffer, and not equally so in all directions.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import astuple, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csc_array, eye_array
+from scipy.sparse.csgraph import breadth_first_order
+from scipy.sparse.linalg import spsolve
+
+from jaxcrumple.mesh.files import MeshWarning
+from jaxcrumple.mesh.mesh import FloatArray, Mesh, edge_numbers, half_edge_pairs
+
+#: Deviation from the lattice, or among directions, beyond which a sheet is not what its material says.
+TOLERANCE = 0.05
+
+_PATCH = 1000  # nodes of a patch of a sheet with more than 3 times as many
+_PATCHES = 5
+_FLAT = 1e-6  # distance from a plane, relative to the size, up to which a sheet is flat
+_ANGLES = np.pi * np.arange(36) / 36
+_YOUNG, _BENDING = 2 / np.sqrt(3), np.sqrt(3) / 2  # of the lattice with ks = kb = 1
+
+
+@dataclass(frozen=True)
+class Stiffness:
+    """Elasticity of a mesh relative to that of the lattice of equilateral triangles.
+
+    `young` and `bending` are means over all directions: of Young's modulus under tension, and of the
+    stiffness against bending into a cylinder. An anisotropy is the largest deviation of any direction from
+    the mean, over the mean. `poisson` is the mean in-plane Poisson ratio, 1/3 for the lattice.
+    """
+
+    young: float
+    young_anisotropy: float
+    poisson: float
+    bending: float
+    bending_anisotropy: float
+
+    @property
+    def worst(self) -> float:
+        """The largest of the deviations that `TOLERANCE` bounds."""
+        of_means = abs(self.young - 1), abs(self.bending - 1)
+        return float(np.nanmax([*of_means, self.young_anisotropy, self.bending_anisotropy]))
+
+    def __str__(self) -> str:
+        return (
+            f"Young's modulus {self.young:.1%} of the one asked for (+-{self.young_anisotropy:.1%} with the "
+            f"direction), bending stiffness {self.bending:.1%} (+-{self.bending_anisotropy:.1%})"
+        )
+
+
+def patch_test(mesh: Mesh) -> Stiffness:
+    """Stiffness of a mesh under a homogeneous strain and a homogeneous curvature.
+
+    The nodes on the boundary, and for bending their neighbours, follow the homogeneous deformation; all
+    others relax. This gives an upper bound, as close to the stiffness of the sheet as the mesh is fine.
+    Without relaxation it would be some per cent higher on random meshes, whose nodes do not move affinely.
+    Springs on the boundary, which have one triangle, count half.
+
+    A sheet of more than 3000 nodes is tested in five patches, a curved one in patches that are projected onto
+    the planes that fit them best. A curved sheet has no common frame, so its anisotropies are means of those
+    of the patches.
+    """
+    plane = flattened(mesh)
+    if plane is not None:
+        parts = _patches(mesh, _PATCH) if mesh.n_nodes > 3 * _PATCH else [mesh.faces]
+        return _stiffness(*np.mean([_tensors(plane, faces) for faces in parts], axis=0))
+    found = []
+    for faces in _patches(mesh, min(_PATCH, max(mesh.n_nodes // 10, 30))):
+        x = mesh.vertices - mesh.vertices[np.unique(faces)].mean(axis=0)
+        axes = np.linalg.svd(x[np.unique(faces)], full_matrices=False)[2]
+        found.append(astuple(_stiffness(*_tensors(x @ axes[:2].T, faces))))
+    return Stiffness(*np.mean(found, axis=0))
+
+
+def warn_of_anisotropy(mesh: Mesh, path: str) -> None:
+    """Warn of a mesh file whose sheet would not have the stiffness that its material has."""
+    found = patch_test(mesh)
+    if found.worst > TOLERANCE:
+        cure = "set remesh = true" if flattened(mesh) is not None else "remesh it"
+        warnings.warn(
+            f"the mesh of {path!r} makes a sheet that is not isotropic: {found}; {cure} for triangles that "
+            "are nearly equilateral.",
+            MeshWarning,
+            stacklevel=4,
+        )
+
+
+def flattened(mesh: Mesh) -> FloatArray | None:
+    """Positions (n, 2) in the sheet's own plane, or None for a curved sheet."""
+    centred = mesh.vertices - mesh.vertices.mean(axis=0)
+    axes = np.linalg.svd(centred, full_matrices=False)[2]
+    size = np.linalg.norm(np.ptp(centred, axis=0))
+    return centred @ axes[:2].T if np.ptp(centred @ axes[2]) <= _FLAT * size else None
+
+
+def _patches(mesh: Mesh, size: int) -> list[NDArray]:
+    """Faces of `size` nodes around each of some nodes that are spread over the sheet."""
+    n = mesh.n_nodes
+    graph = coo_array((np.ones(len(mesh.edges)), tuple(mesh.edges.T)), shape=(n, n)).tocsr()
+    patches = []
+    # Nodes are numbered along a Hilbert curve, as a rule, so that equal steps spread them.
+    for centre in np.linspace(0, n - 1, _PATCHES + 2).astype(int)[1:-1]:
+        near = breadth_first_order(graph, centre, directed=False, return_predecessors=False)[:size]
+        patches.append(mesh.faces[np.isin(mesh.faces, near).all(axis=1)])
+    return patches
+
+
+def _tensors(x: FloatArray, faces: NDArray) -> tuple[FloatArray, FloatArray]:
+    """Stiffness (3, 3) against strains (xx, yy, 2 xy) and against curvatures (xx, yy, 2 xy), ks = kb = 1."""
+    used, faces = np.unique(faces, return_inverse=True)
+    x, faces = x[used], faces.reshape(-1, 3)
+    edges, number = edge_numbers(faces)
+    one, two = half_edge_pairs(number)
+    boundary = np.zeros(len(x), bool)
+    boundary[edges[np.bincount(number) == 1]] = True
+    near = boundary.copy()
+    near[edges[boundary[edges].any(axis=1)]] = True
+    apex = np.roll(faces, -2, axis=1).ravel()
+    hinges = np.column_stack([edges[number[one]], apex[one], apex[two]])
+    weight = np.bincount(number) / 2
+    inner = (weight[number].reshape(-1, 3) == 1).all(axis=1)  # triangles with three hinges
+    u, v = x[faces[:, 1]] - x[faces[:, 0]], x[faces[:, 2]] - x[faces[:, 0]]
+    area = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum() / 2
+    membrane = _membrane(x, edges, weight, ~boundary) / area
+    return membrane, _plate(x, hinges, (inner[one // 3], inner[two // 3]), ~near)
+
+
+def _membrane(x: FloatArray, edges: NDArray, weight: FloatArray, free: NDArray) -> FloatArray:
+    d = x[edges[:, 1]] - x[edges[:, 0]]
+    length = np.linalg.norm(d, axis=1, keepdims=True)
+    n = d / length
+    affine = length * np.column_stack([n**2, n[:, :1] * n[:, 1:]])
+    columns = np.column_stack([2 * edges, 2 * edges + 1])[:, [0, 2, 1, 3]]
+    stretch = _rows(columns, np.column_stack([-n, n]), 2 * len(x))
+    return _relaxed(stretch[:, np.repeat(free, 2)], affine, weight)
+
+
+def _plate(x: FloatArray, hinges: NDArray, inner: tuple[NDArray, NDArray], free: NDArray) -> FloatArray:
+    """Of the triangles of each hinge those count that are `inner`; others lie among fixed nodes."""
+    if len(hinges) == 0:
+        return np.full((3, 3), np.nan)
+    if not inner[0].any() and not inner[1].any():
+        inner = (np.ones(len(hinges), bool),) * 2
+    a, b, c, d = (x[hinges[:, k]] for k in range(4))
+    along = b - a
+    squared = (along**2).sum(axis=1)
+    length = np.sqrt(squared)
+    slopes, heights = [], []
+    for apex in (c, d):
+        foot = ((apex - a) * along).sum(axis=1) / squared
+        height = np.linalg.norm(apex - a - foot[:, None] * along, axis=1)
+        slopes.append(np.column_stack([(foot - 1) / height, -foot / height, 1 / height]))
+        heights.append(height)
+    angle = np.column_stack([slopes[0][:, :2] + slopes[1][:, :2], slopes[0][:, 2], slopes[1][:, 2]])
+    area = length * (heights[0] + heights[1]) / 2
+    share = (inner[0].astype(float) + inner[1]) / 2
+    counted = length * (inner[0] * heights[0] + inner[1] * heights[1]) / 2
+    height_of = np.column_stack([x**2, x[:, 0] * x[:, 1]]) / 2
+    turn = _rows(hinges, angle, len(x))
+    affine = turn @ height_of
+    # A triangle has three hinges, so each of them has a third of its area.
+    weight = share * np.sqrt(3) * squared / (2 * area)
+    return _relaxed(turn[:, free], affine, weight) / (counted.sum() / 3)
+
+
+def _rows(columns: NDArray, values: FloatArray, width: int) -> csc_array:
+    row = np.repeat(np.arange(len(columns)), columns.shape[1])
+    return coo_array((values.ravel(), (row, columns.ravel())), shape=(len(columns), width)).tocsc()
+
+
+def _relaxed(change: csc_array, affine: FloatArray, weight: FloatArray) -> FloatArray:
+    """Energy (3, 3) of affine elongations (m, 3) after displacements that `change` them have relaxed."""
+    weighted = weight[:, None] * affine
+    energy = affine.T @ weighted
+    if change.shape[1]:
+        force = change.T @ weighted
+        tangent = (change.T @ (coo_array((weight, (range(len(weight)),) * 2)) @ change)).tocsc()
+        # A node that a degenerate mesh leaves without stiffness must not make the matrix singular.
+        tangent = tangent + 1e-12 * tangent.diagonal().max() * eye_array(tangent.shape[0], format="csc")
+        energy = energy - force.T @ spsolve(tangent, force, permc_spec="MMD_AT_PLUS_A")
+    return energy
+
+
+def _stiffness(membrane: FloatArray, plate: FloatArray) -> Stiffness:
+    c, s = np.cos(_ANGLES), np.sin(_ANGLES)
+    stress = np.stack([c**2, s**2, c * s])
+    strain = np.linalg.solve(membrane, stress)
+    young = 1 / (stress * strain).sum(axis=0)
+    poisson = -(np.stack([s**2, c**2, -c * s]) * strain).sum(axis=0) * young
+    curvature = np.stack([c**2, s**2, 2 * c * s])
+    bending = (curvature * (plate @ curvature)).sum(axis=0)
+    return Stiffness(
+        float(young.mean() / _YOUNG),
+        float(np.abs(young / young.mean() - 1).max()),
+        float(poisson.mean()),
+        float(bending.mean() / _BENDING),
+        float(np.abs(bending / bending.mean() - 1).max()),
+    )

@@ -1,0 +1,275 @@
+"""Confinement by smooth rigid walls that may move.
+
+A wall is a shape, which measures the signed gap d between a point and itself, and one law: with
+$s = \\langle 1 - d/\\sigma\\rangle$, $U = k_w \\sigma^2 s^3 / (3 (1 - s))$. Its force along the inward normal
+starts smoothly at $d = \\sigma$, as $k_w \\sigma s^2$, and grows without bound towards the wall.
+"""
+
+import abc
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from jaxcrumple._jax.tree import as_float, is_known, require_numbers, require_shape
+from jaxcrumple.geometry.hinge import dot
+
+# Nearness s from which the law goes on as its Taylor polynomial of second order: so Newton's iterates may lie
+# behind the wall and come back. There a node is pushed with 832 k_w sigma; steps that end behind are
+# rejected.
+NEAREST = 0.98
+NEAREST_SLOPE = NEAREST**2 * (3.0 - 2.0 * NEAREST) / (3.0 * (1.0 - NEAREST) ** 2)
+NEAREST_CURVATURE = 2.0 * (1.0 / (1.0 - NEAREST) ** 3 - 1.0) / 3.0
+# Guards the distance to a centre or an axis, m^2: far below any length that matters here.
+TINY = 1e-30
+# How far from 1 the length of a unit vector may be.
+UNIT_ROUNDING = 1e-6
+
+
+class Ramp(eqx.Module):
+    """A number that changes linearly, `start` + `rate` * t, `until` a time in s from which it is held. Any
+    callable module of t may replace it."""
+
+    start: Array = eqx.field(converter=as_float)
+    rate: Array = eqx.field(converter=as_float)
+    until: Array | float = eqx.field(default=jnp.inf, converter=as_float)
+
+    def __check_init__(self) -> None:
+        for name in ("start", "rate", "until"):
+            require_shape(f"{name} of Ramp", getattr(self, name), ())
+
+    def __call__(self, t: Array) -> Array:
+        """Value at time `t`."""
+        return self.start + self.rate * jnp.minimum(t, self.until)
+
+
+class Corners(eqx.Module):
+    """A number that goes straight from one of `values` (m,) to the next at `times` (m,) in s, and stays
+    at the first and at the last."""
+
+    times: Array = eqx.field(converter=as_float)
+    values: Array = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        require_shape("times of Corners", self.times, (self.times.size,))
+        require_shape("values of Corners", self.values, self.times.shape)
+        times = self.times
+        if times.size == 0 or (is_known(times) and not np.all(np.diff(np.asarray(times)) >= 0)):
+            raise ValueError("times of Corners must be at least one time in s, and must not decrease.")
+
+    def __call__(self, t: Array) -> Array:
+        """Value at time `t`."""
+        return jnp.interp(t, self.times, self.values)
+
+
+def of_time(value: ArrayLike | Callable[[Array], Array]) -> Callable[[Array], Array]:
+    """A number that never changes as a function of time."""
+    return value if callable(value) else Ramp(as_float(value), as_float(0.0))
+
+
+class AbstractShape(eqx.Module):
+    """The geometry of a wall."""
+
+    @abc.abstractmethod
+    def gap(self, point: Array, t: Array) -> Array:
+        """Signed distance in m from the `point` (3,) to the wall at time `t`; positive inside."""
+
+
+def _check_vectors(shape: AbstractShape, *points: str, unit: str | None = None) -> None:
+    """Refuse fields that are not vectors (3,), or not of length 1."""
+    names = points if unit is None else (*points, unit)
+    for name in names:
+        require_shape(f"{name} of {type(shape).__name__}", getattr(shape, name), (3,))
+    if unit is None or not is_known(getattr(shape, unit)):
+        return
+    size = float(np.linalg.norm(np.asarray(getattr(shape, unit))))
+    if abs(size - 1.0) > UNIT_ROUNDING:
+        raise ValueError(
+            f"{unit} of {type(shape).__name__} has length {size:.6g}; it must be a unit vector: divide it by "
+            "its length."
+        )
+
+
+class Sphere(AbstractShape):
+    """The inside of a sphere: `center` (3,) in m, `radius` in m, a number or a callable of time."""
+
+    center: Array = eqx.field(converter=as_float)
+    radius: Callable[[Array], Array] = eqx.field(converter=of_time)
+
+    def __check_init__(self) -> None:
+        _check_vectors(self, "center")
+
+    def gap(self, point: Array, t: Array) -> Array:
+        """Radius minus distance from the centre."""
+        offset = point - self.center
+        return self.radius(t) - jnp.sqrt(dot(offset, offset) + TINY)
+
+
+class Cylinder(AbstractShape):
+    """The inside of an infinite cylinder through `center` (3,) along the unit vector `axis` (3,).
+
+    `radius` in m is a number or a callable of time.
+    """
+
+    center: Array = eqx.field(converter=as_float)
+    axis: Array = eqx.field(converter=as_float)
+    radius: Callable[[Array], Array] = eqx.field(converter=of_time)
+
+    def __check_init__(self) -> None:
+        _check_vectors(self, "center", unit="axis")
+
+    def gap(self, point: Array, t: Array) -> Array:
+        """Radius minus distance from the axis."""
+        offset = point - self.center
+        radial = offset - dot(offset, self.axis) * self.axis
+        return self.radius(t) - jnp.sqrt(dot(radial, radial) + TINY)
+
+
+class Plane(AbstractShape):
+    """The half space $\\hat n \\cdot x > $ `offset`(t), with unit `normal` (3,) pointing inside.
+
+    `offset` in m is a number or a callable of time.
+    """
+
+    normal: Array = eqx.field(converter=as_float)
+    offset: Callable[[Array], Array] = eqx.field(converter=of_time)
+
+    def __check_init__(self) -> None:
+        _check_vectors(self, unit="normal")
+
+    def gap(self, point: Array, t: Array) -> Array:
+        """Height above the plane."""
+        return dot(self.normal, point) - self.offset(t)
+
+
+class Cone(AbstractShape):
+    """The inside of a cone of half angle `half_angle` (rad), opening from its tip along `axis`.
+
+    `height`, a number or a callable of time, is the position s of the tip on the line `center` + s * `axis`
+    in m.
+    """
+
+    center: Array = eqx.field(converter=as_float)
+    axis: Array = eqx.field(converter=as_float)
+    half_angle: Array = eqx.field(converter=as_float)
+    height: Callable[[Array], Array] = eqx.field(converter=of_time)
+
+    def __check_init__(self) -> None:
+        _check_vectors(self, "center", unit="axis")
+        require_shape("half_angle of Cone", self.half_angle, ())
+        if is_known(self.half_angle) and not 0.0 < float(self.half_angle) < 0.5 * np.pi:
+            raise ValueError(
+                f"half_angle = {float(self.half_angle):g} rad of Cone must lie between 0 and pi/2; use "
+                "numpy.radians for degrees."
+            )
+
+    def gap(self, point: Array, t: Array) -> Array:
+        """Distance from the cone's surface."""
+        offset = point - self.center
+        along = dot(offset, self.axis)
+        radial = offset - along * self.axis
+        distance = jnp.sqrt(dot(radial, radial) + TINY)
+        return (along - self.height(t)) * jnp.sin(self.half_angle) - distance * jnp.cos(self.half_angle)
+
+
+class Ball(AbstractShape):
+    """The outside of a ball of `radius` in m, whose centre is at `center` + `height` * `axis`.
+
+    `height` in m is a number or a callable of time, `axis` a unit vector (3,).
+    """
+
+    center: Array = eqx.field(converter=as_float)
+    axis: Array = eqx.field(converter=as_float)
+    radius: Array = eqx.field(converter=as_float)
+    height: Callable[[Array], Array] = eqx.field(converter=of_time)
+
+    def __check_init__(self) -> None:
+        _check_vectors(self, "center", unit="axis")
+        require_numbers("radius of Ball", self.radius, positive=True)
+
+    def gap(self, point: Array, t: Array) -> Array:
+        """Distance from the centre minus radius."""
+        offset = point - self.center - self.height(t) * self.axis
+        return jnp.sqrt(dot(offset, offset) + TINY) - self.radius
+
+
+class Opening(AbstractShape):
+    """A plate with a round hole, whose edge is round as well.
+
+    The plate is the plane through `center` (3,) normal to the unit vector `axis` (3,), as thick as twice the
+    radius `edge` in m to which the rim of the hole is rounded; what remains of the hole has `radius` in m, a
+    number or a callable of time.
+    """
+
+    center: Array = eqx.field(converter=as_float)
+    axis: Array = eqx.field(converter=as_float)
+    radius: Callable[[Array], Array] = eqx.field(converter=of_time)
+    edge: Array = eqx.field(converter=as_float)
+
+    def __check_init__(self) -> None:
+        _check_vectors(self, "center", unit="axis")
+        require_numbers("edge of Opening", self.edge)
+
+    def gap(self, point: Array, t: Array) -> Array:
+        """Distance from the plate's surface."""
+        offset = point - self.center
+        along = dot(offset, self.axis)
+        radial = offset - along * self.axis
+        inside = jnp.maximum(self.radius(t) + self.edge - jnp.sqrt(dot(radial, radial) + TINY), 0.0)
+        return jnp.sqrt(inside**2 + along**2 + TINY) - self.edge
+
+
+def wall_law(nearness: Array) -> Array:
+    """$s^3 / (3 (1 - s))$ of the `nearness` s >= 0, and its Taylor polynomial beyond `NEAREST`."""
+    s = jnp.minimum(nearness, NEAREST)
+    law = s**3 / (3.0 * (1.0 - s))
+    beyond = nearness - s
+    return law + beyond * (NEAREST_SLOPE + 0.5 * beyond * NEAREST_CURVATURE)
+
+
+class Wall(eqx.Module):
+    """A shape and its stiffness.
+
+    **Arguments:**
+
+    - `shape`: an `AbstractShape`.
+    - `stiffness`: (n,) $k_w$ of each node in N/m (scale it with the node's area).
+    - `range`: $\\sigma$ in m, the gap at which the wall starts to push.
+    """
+
+    shape: AbstractShape
+    stiffness: Array = eqx.field(converter=as_float)
+    range: Array = eqx.field(converter=as_float)
+
+    def node_energy(self, x: Array, t: Array) -> Array:
+        """Energy of each node (n,) in J."""
+        return jax.vmap(self._energy, (0, 0, None))(x, self.stiffness, t)
+
+    def _energy(self, point: Array, stiffness: Array, t: Array) -> Array:
+        nearness = jnp.maximum(1.0 - self.shape.gap(point, t) / self.range, 0.0)
+        return stiffness * self.range**2 * wall_law(nearness)
+
+    def energy(self, x: Array, t: Array) -> Array:
+        """Energy in J at positions `x` (n, 3) and time `t`."""
+        return jnp.sum(self.node_energy(x, t))
+
+    def gap(self, x: Array, t: Array) -> Array:
+        """Signed gap of each node (n,) in m; negative means the node is behind the wall."""
+        return jax.vmap(self.shape.gap, (0, None))(x, t)
+
+    def force(self, x: Array, t: Array) -> Array:
+        """Nodal forces (n, 3) in N."""
+        return -jax.vmap(jax.grad(self._energy), (0, 0, None))(x, self.stiffness, t)
+
+    def stiffness_bound(self, x: Array, t: Array) -> Array:
+        """Largest stiffness of each node (n,) in N/m."""
+        nearness = jnp.maximum(1.0 - self.gap(x, t) / self.range, 0.0)
+        return self.stiffness * jax.vmap(jax.grad(jax.grad(wall_law)))(nearness)
+
+    def blocks(self, x: Array, t: Array) -> Array:
+        """Hessian of each node (n, 3, 3) in N/m."""
+        return jax.vmap(jax.hessian(self._energy), (0, 0, None))(x, self.stiffness, t)

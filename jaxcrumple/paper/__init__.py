@@ -1,0 +1,19 @@
+"""The paper's figures, each from the runs that it needs: `jaxcrumple figure NAME`."""
+
+from jaxcrumple.paper import axial, fold, four, gallery, order, radial
+from jaxcrumple.paper.base import Figure, make_figure
+
+FIGURES: dict[str, Figure] = {
+    "3b": fold.FIGURE,
+    "4": order.FIGURE,
+    "5": radial.SNAPSHOTS,
+    "6": radial.STEPS,
+    "7": gallery.FIGURE,
+    "8a": radial.MORPHOLOGY,
+    "8b": radial.INSIDE,
+    "8c": four.FIGURE,
+    "8d": radial.REARRANGEMENT,
+    "9": axial.FIGURE,
+}
+
+__all__ = ["FIGURES", "Figure", "make_figure"]

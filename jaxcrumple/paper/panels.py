@@ -1,0 +1,71 @@
+"""Rows of panels: a run at several moments, in space and as a map of curvature on the flat sheet."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from jaxcrumple.io import Run
+from jaxcrumple.measure import crease_length, mean_curvature
+from jaxcrumple.plot.figure import new_figure, save_figure
+from jaxcrumple.plot.plot import CURVATURE_LABEL, color_scale, draw_flat, draw_sheet
+
+
+class Moment(NamedTuple):
+    """A frame of a run, by number, with what is written above it."""
+
+    title: str
+    run: Run
+    frame: int
+
+
+def frames_at(run: Run, shares: Sequence[float]) -> list[int]:
+    """Numbers of the frames nearest to shares of a run's time, each once."""
+    return list(dict.fromkeys(int(np.argmin(np.abs(run.t - share * run.t[-1]))) for share in shares))
+
+
+def moments(run: Run, frames: Sequence[int]) -> list[Moment]:
+    """Frames of a run, by number, with their times above them."""
+    return [Moment(f"t = {run.t[frame]:.3g} s", run, frame) for frame in frames]
+
+
+def plot_moments(shown: Sequence[Moment], caption: str, path: Path) -> Path:
+    """A column for each moment: the sheet in space, and its mean curvature on the flat sheet."""
+    curvature = [mean_curvature(one.run.mesh, one.run.x[one.frame]) for one in shown]
+    scale = color_scale(np.concatenate(curvature), signed=True)
+    figure = new_figure((2.6 * len(shown) + 0.8, 5.4), caption)
+    maps = []
+    for column, (one, values) in enumerate(zip(shown, curvature, strict=True), 1):
+        space = figure.add_subplot(2, len(shown), column, projection="3d", proj_type="persp", title=one.title)
+        draw_sheet(space, one.run.mesh, one.run.x[one.frame], scale, values)
+        space.tick_params(labelsize=6)
+        flat = figure.add_subplot(2, len(shown), len(shown) + column, aspect="equal", xticks=[], yticks=[])
+        draw_flat(flat, one.run.mesh, scale, values)
+        maps.append(flat)
+    figure.colorbar(scale, ax=maps, label=CURVATURE_LABEL, extend="both", shrink=0.8)
+    return save_figure(figure, path)
+
+
+def table_of(shown: Sequence[Moment]) -> pd.DataFrame:
+    """What the panels show, in numbers: a line for each moment, energies in J, crease length in m."""
+    return pd.DataFrame([_row(one) for one in shown])
+
+
+def _row(one: Moment) -> Mapping[str, float | str]:
+    run, frame = one.run, one.frame
+    history = run.history[run.history["t"] <= run.t[frame] * (1.0 + 1e-9)]
+    energies = {
+        name: float(history[name].iloc[-1]) if len(history) else 0.0 for name in ("stretch", "bending")
+    }
+    curvature = mean_curvature(run.mesh, run.x[frame])
+    return {
+        "panel": one.title,
+        "scene": run.config["scene"],
+        "nodes": run.mesh.n_nodes,
+        "t": float(run.t[frame]),
+        **energies,
+        "crease_length": crease_length(run.mesh, run.p[frame]),
+        "rms_curvature": float(np.sqrt(np.average(curvature**2, weights=run.mesh.node_area))),
+    }

@@ -1,0 +1,317 @@
+"""Pictures of a run: the sheet, its creases, its steps and its energies, in the manner of Figs. 5a and 6a.
+
+Every function writes one picture to `path`, whose ending names the format (.png, .pdf, .svg, ...), and
+returns the path. Nothing is shown and no global setting of matplotlib is touched, so that they work without a
+display.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgba_array
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+from matplotlib.tri import Triangulation
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from numpy.typing import ArrayLike
+
+from jaxcrumple.io.run import Run, load
+from jaxcrumple.measure import DAMAGE, crease_pattern, mean_curvature, mountain_valley_length
+from jaxcrumple.measure.strain import positions
+from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.plot.figure import new_figure, save_figure
+from jaxcrumple.run.config import MaterialOptions, SolverOptions
+from jaxcrumple.solvers.log import AFTER, STEP
+from jaxcrumple.state import STAGES
+
+CURVATURE_LABEL = "mean curvature $H$ [1/m]"
+DIVERGING = "RdBu_r"  # red is convex seen from the side of the face normals
+PALE = LinearSegmentedColormap.from_list("pale", ["#7fb2dc", "#f7f7f7", "#efa184"])  # lets lines stand out
+MOUNTAIN, VALLEY = "#8e0012", "#0a2a6b"
+STAGE_COLORS = {"quasistatic": "#1f6fb4", "implicit": "#e8a33d", "explicit": "#d9541e"}
+ENERGY_COLORS = {
+    "stretch": "#1f6fb4",
+    "bending": "#d9541e",
+    "contact": "#c2a500",
+    "confinement": "#5b8c3a",
+    "gravity": "#8c564b",
+    "extra": "#7f5ab0",
+    "kinetic": "#777777",
+}
+# Shading: the share of light that reaches a face seen edge-on, and where the lamp stands.
+AMBIENT, LAMP = 0.45, (-0.4, -0.55, 0.75)
+# The largest curvatures sit on single sharp hinges; colours span what this share of the nodes has.
+ROBUST = 0.98
+
+
+def plot_sheet(
+    mesh: Mesh,
+    x: ArrayLike,
+    *,
+    color: ArrayLike | None = None,
+    label: str | None = None,
+    caption: str = "",
+    path: str | Path,
+) -> Path:
+    """The sheet in space, shaded, with equal scales in mm.
+
+    **Arguments:** `x` (n, 3) in m; `color`: one value per node (n,) or face (f,), by default the mean
+    curvature in 1/m; `label`: what it is, with its unit; `caption`: size and tolerance of the run, written
+    above.
+
+    **Raises:** ValueError for a wrong shape or an unknown ending of `path`, `RunDirectoryError` if it cannot
+    be written.
+    """
+    x = positions(mesh, x)
+    values = mean_curvature(mesh, x) if color is None else np.asarray(color, dtype=np.float64)
+    label = CURVATURE_LABEL if color is None else label or ""
+    scale = color_scale(values, signed=color is None)
+    figure = new_figure((7.2, 6.0), caption)
+    axes: Any = figure.add_subplot(projection="3d", proj_type="persp")
+    draw_sheet(axes, mesh, x, scale, values)
+    for name in "xyz":
+        getattr(axes, f"set_{name}label")(f"{name} [mm]", labelpad=8)
+    figure.colorbar(scale, ax=axes, label=label, shrink=0.65, pad=0.1, extend="both")
+    return save_figure(figure, path)
+
+
+def plot_creases(
+    mesh: Mesh,
+    x: ArrayLike,
+    p: ArrayLike,
+    *,
+    threshold: float = DAMAGE,
+    caption: str = "",
+    path: str | Path,
+) -> Path:
+    """The crease pattern on the flat sheet: mean curvature of `x` (n, 3), and damaged edges on top (Fig. 5a).
+
+    The sheet is drawn in the x-y plane of its rest shape, in mm. Edges whose rest curvature `p` (h,) moved by
+    more than `threshold` are drawn as mountains (convex seen from the side of the face normals) or valleys.
+    Colours span the curvatures of all but the sharpest 2 % of the nodes.
+
+    **Raises:** as `plot_sheet`.
+    """
+    flat = 1e3 * mesh.vertices[:, :2]
+    curvature = mean_curvature(mesh, x)
+    scale = color_scale(curvature, signed=True)
+    scale.set_cmap(PALE)
+    figure = new_figure((7.2, 6.2), caption)
+    axes = figure.add_subplot(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
+    draw_flat(axes, mesh, scale, curvature)
+    pattern, lengths = crease_pattern(mesh, p, threshold), mountain_valley_length(mesh, p, threshold)
+    handles = []
+    kinds = (("mountain", 1, MOUNTAIN), ("valley", -1, VALLEY))
+    for (name, sign, color), length in zip(kinds, lengths, strict=True):
+        lines = list(flat[mesh.hinges[pattern == sign, :2]])
+        axes.add_collection(LineCollection(lines, colors=color, linewidths=0.9, capstyle="round"))
+        handles.append(Line2D([], [], color=color, label=f"{name}, {1e2 * length:.3g} cm"))
+    figure.legend(
+        handles=handles,
+        loc="outside lower center",
+        ncols=2,
+        frameon=False,
+        title=f"edges with $|\\Delta p| > {threshold:g}$",
+    )
+    figure.colorbar(scale, ax=axes, label=CURVATURE_LABEL, extend="both")
+    axes.autoscale_view()
+    return save_figure(figure, path)
+
+
+def plot_steps(
+    history: pd.DataFrame,
+    events: pd.DataFrame | None = None,
+    *,
+    thresholds: Sequence[float] = (),
+    caption: str = "",
+    path: str | Path,
+) -> Path:
+    """Step size and mean scaled acceleration over time, coloured by stage, with the switches (Fig. 6a).
+
+    **Arguments:** `history`, `events`: as `jaxcrumple.io.load` returns them; without events that lead `to` a
+    stage the switches are taken from the history. `thresholds`: values of $a_{max}/a_{ref}$ to draw dashed.
+
+    **Raises:** as `plot_sheet`, and ValueError if the history has no steps.
+    """
+    steps = history[history["kind"] == STEP] if len(history) else history
+    if len(steps) == 0:
+        raise ValueError("the history has no steps to plot; run longer")
+    figure = new_figure((8.0, 5.6), caption)
+    top, bottom = figure.subplots(2, 1, sharex=True)
+    labels = ("step $h$ [s]", r"mean $a_{\max}/a_{\mathrm{ref}}$ [-]")
+    for axes, column, label in zip((top, bottom), ("h", "acceleration_mean"), labels, strict=True):
+        _stage_lines(axes, steps, column)
+        axes.set(yscale="log", ylabel=label)
+        axes.grid(alpha=0.3)
+    for value in thresholds:
+        bottom.axhline(value, color="black", linestyle="--", linewidth=0.9)
+    switches = _switch_times(history, events)
+    for axes in (top, bottom):
+        for t in switches:
+            axes.axvline(t, color="black", linewidth=0.5, alpha=0.25, zorder=0)
+    handles = [Line2D([], [], color=color, label=name) for name, color in STAGE_COLORS.items()]
+    handles.append(Line2D([], [], color="black", alpha=0.4, linewidth=0.7, label=f"{len(switches)} switches"))
+    if len(thresholds):
+        handles.append(Line2D([], [], color="black", linestyle="--", label="switching thresholds"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
+    bottom.set_xlabel("time $t$ [s]")
+    return save_figure(figure, path)
+
+
+def plot_energies(history: pd.DataFrame, *, caption: str = "", path: str | Path) -> Path:
+    """Energies by term in J over time; what is negative (loads) is dashed, with its magnitude.
+
+    **Raises:** as `plot_sheet`, and ValueError if the history is empty.
+    """
+    if len(history) == 0:
+        raise ValueError("the history has no rows to plot; run longer")
+    figure = new_figure((8.0, 4.4), caption)
+    axes = figure.add_subplot(yscale="log", xlabel="time $t$ [s]", ylabel="energy [J]")
+    largest = 0.0
+    for name, color in ENERGY_COLORS.items():
+        energy = history[name].to_numpy(dtype=float)
+        for sign, label, style in ((1.0, name, "-"), (-1.0, f"-{name}", "--")):
+            if np.any(sign * energy > 0):
+                shown = np.where(sign * energy > 0, sign * energy, np.nan)
+                axes.plot(history["t"], shown, style, color=color, label=label, linewidth=1.2)
+                largest = max(largest, float(np.nanmax(shown)))
+    if largest > 0:
+        axes.set_ylim(bottom=max(1e-9 * largest, axes.get_ylim()[0]), top=3 * largest)
+        axes.legend(frameon=False, ncols=3)
+    axes.grid(alpha=0.3)
+    return save_figure(figure, path)
+
+
+def plot_run(folder: str | Path) -> list[Path]:
+    """All pictures of a run, finished or not, into its `folder`: its last frame, its steps and energies.
+
+    **Raises:** `RunDirectoryError` as `jaxcrumple.io.load`, or if a picture cannot be written.
+    """
+    folder = Path(folder)
+    run = load(folder)
+    caption, last, now = about(run), run.x[-1], about(run, t=run.t[-1])
+    pictures = [
+        plot_sheet(run.mesh, last, caption=now, path=folder / "sheet.png"),
+        plot_creases(run.mesh, last, run.p[-1], caption=now, path=folder / "creases.png"),
+    ]
+    if len(run.history) and (run.history["kind"] == STEP).any():
+        limits = _thresholds(run)
+        path = folder / "steps.png"
+        pictures.append(plot_steps(run.history, run.events, thresholds=limits, caption=caption, path=path))
+        pictures.append(plot_energies(run.history, caption=caption, path=folder / "energies.png"))
+    return pictures
+
+
+def about(*runs: Run, t: float | None = None) -> str:
+    """Scene, size, seed, tolerance, and time in s of a run, or of several that differ by their seeds, in
+    words, as far as their folders tell."""
+    first, seeds = runs[0], [str(run.config["seed"]) for run in runs if "seed" in run.config]
+    config, solver = first.config, first.config.get("solver", {})
+    words = [config["scene"]] if "scene" in config else []
+    words.append(f"n = {first.mesh.n_nodes}")
+    words += [f"seed{'s' if len(seeds) > 1 else ''} {' '.join(seeds)}"] if seeds else []
+    words += [f"rtol {solver['rtol']:g}"] if "rtol" in solver else []
+    return ", ".join(words + ([] if t is None else [f"t = {t:.4g} s"]))
+
+
+# Parts
+
+
+def draw_sheet(axes: Any, mesh: Mesh, x: FloatArray, scale: ScalarMappable, values: FloatArray) -> None:
+    """The sheet at positions `x` (n, 3) in m into three-dimensional axes in mm, shaded, in colours of
+    `values` per node or face."""
+    corners = 1e3 * x[mesh.faces]
+    colors = _shaded(scale.to_rgba(_on_faces(mesh, values)), corners)
+    axes.add_collection3d(Poly3DCollection(corners, facecolors=colors, edgecolors=colors, linewidths=0.2))
+    _equal_box(axes, 1e3 * x)
+
+
+def draw_flat(axes: Axes, mesh: Mesh, scale: ScalarMappable, values: FloatArray) -> None:
+    """Node `values` (n,) in colours on the flat sheet, into axes in mm."""
+    flat = 1e3 * mesh.vertices
+    sheet = Triangulation(flat[:, 0], flat[:, 1], mesh.faces)
+    axes.tripcolor(sheet, values, shading="gouraud").set(cmap=scale.cmap, norm=scale.norm)
+
+
+def _thresholds(run: Run) -> list[float]:
+    """The switch's thresholds as values of a_max/a_ref; none where the scheme has no switch."""
+    options = SolverOptions(**run.config.get("solver", {}))
+    if options.scheme not in ("alternating", "paper"):
+        return []
+    switch, material = options.switch(), MaterialOptions(**run.config.get("material", {})).build()
+    inertial_time = 1.0 / material.drag_rate if material.drag_rate else np.inf
+    unit = switch.value(1.0, material.discretize(run.mesh).a_ref, inertial_time, np.sqrt(run.mesh.area))
+    if np.isinf(unit):
+        return []
+    return [float(switch.down / unit), float(switch.up / unit)]
+
+
+def color_scale(values: FloatArray, *, signed: bool) -> ScalarMappable:
+    """Colours of `values`: symmetric around 0 if `signed`, else from low to high; outliers saturate."""
+    finite = values[np.isfinite(values)]
+    if signed:
+        limit = float(np.quantile(np.abs(finite), ROBUST)) if len(finite) else 0.0
+        norm, colors = Normalize(-(limit or 1.0), limit or 1.0), DIVERGING
+    else:
+        low, high = np.quantile(finite, [1 - ROBUST, ROBUST]) if len(finite) else (0.0, 1.0)
+        norm, colors = Normalize(float(low), float(high) if high > low else float(low) + 1.0), "viridis"
+    scale = ScalarMappable(norm, colors)
+    scale.set_array(values)
+    return scale
+
+
+def _on_faces(mesh: Mesh, values: FloatArray) -> FloatArray:
+    if values.shape == (len(mesh.faces),):
+        return values
+    if values.shape == (mesh.n_nodes,):
+        return values[mesh.faces].mean(axis=1)
+    raise ValueError(f"color has shape {values.shape}; give one value per node or per face of the mesh")
+
+
+def _shaded(colors: FloatArray, corners: FloatArray) -> FloatArray:
+    """Face `colors` (f, 4), darker the more a face is turned from the lamp; both sides are lit alike."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    light = np.abs(normals @ np.array(LAMP)) / np.linalg.norm(LAMP)
+    shaded = to_rgba_array(colors)
+    shaded[:, :3] *= (AMBIENT + (1 - AMBIENT) * light)[:, None]
+    return shaded
+
+
+def _equal_box(axes: Any, x: FloatArray) -> None:
+    """Limits around the positions with the same scale on all axes; a flat sheet keeps some height."""
+    low, high = x.min(axis=0), x.max(axis=0)
+    half = np.maximum(high - low, 0.15 * (high - low).max()) / 2
+    middle = (low + high) / 2
+    for name, m, h in zip("xyz", middle, half, strict=True):
+        getattr(axes, f"set_{name}lim")(m - h, m + h)
+        getattr(axes, f"{name}axis").set_major_locator(MaxNLocator(max(2, round(6 * h / half.max()))))
+    axes.set_box_aspect(half, zoom=0.88)
+
+
+def _stage_lines(axes: Axes, steps: pd.DataFrame, column: str) -> None:
+    """The column over time; each segment has the colour of the stage of the step it leads to."""
+    t, y = steps["t"].to_numpy(dtype=float), steps[column].to_numpy(dtype=float)
+    y = np.where(y > 0, y, np.nan)  # no place on a logarithmic axis
+    stage = steps["stage"].to_numpy()
+    for name in STAGES:
+        into = stage[1:] == name
+        segments = np.stack([np.column_stack([t, y])[:-1], np.column_stack([t, y])[1:]], axis=1)[into]
+        axes.add_collection(LineCollection(list(segments), colors=STAGE_COLORS[name], linewidths=1.1))
+        axes.plot(t[stage == name], y[stage == name], ".", color=STAGE_COLORS[name], markersize=2)
+
+
+def _switch_times(history: pd.DataFrame, events: pd.DataFrame | None) -> FloatArray:
+    if events is not None and {"t", "to"} <= set(events.columns):
+        chosen = events[events["to"].isin(STAGES)]
+        if len(chosen):
+            return chosen["t"].to_numpy(dtype=float)
+    return history.loc[history["kind"] == AFTER, "t"].to_numpy(dtype=float)

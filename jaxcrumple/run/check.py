@@ -1,0 +1,82 @@
+"""What a configuration will run, in words, before it runs."""
+
+from jaxcrumple._jax.memory import gigabytes, memory_limit
+from jaxcrumple.mesh.isotropy import patch_test
+from jaxcrumple.run.balance import Balance, start_balance
+from jaxcrumple.run.config import RunConfig
+from jaxcrumple.run.estimate import estimate, file_mesh, require_config
+from jaxcrumple.scenes import SCENES
+from jaxcrumple.state import initial_state
+
+
+def described(config: RunConfig) -> list[str]:
+    """Lines on scene, sheet, walls, contact, material, solver and end, and what the run may take.
+
+    What only the scene itself tells, such as a wall with no room for the sheet, `check_built` looks at.
+
+    **Raises:** `MeshError` for a mesh file that cannot be used.
+    """
+    mesh, options = file_mesh(config), config.options
+    nodes = config.nodes if mesh is None else mesh.n_nodes
+    walls = SCENES[config.scene].walls(options)
+    contact = options.get("contact") or "none: the sheet passes through itself"
+    solver = config.solver
+    return [
+        f"scene: {config.scene}, {SCENES[config.scene].summary}",
+        f"nodes: {nodes}, seed {config.seed}",
+        *([] if mesh is None else [f"mesh: {patch_test(mesh)}"]),
+        f"walls: {'; '.join(walls) or 'none'}",
+        f"contact: {contact}",
+        f"material: {_material(config)}",
+        f"solver: {solver.scheme}, rtol {solver.rtol:g}",
+        f"until: t = {config.t_end:g} s, in {config.frames} frames",
+        f"takes: {_taken(config, nodes)}",
+    ]
+
+
+def check_built(config: RunConfig) -> Balance:
+    """Build the scene, evaluate energies and forces at its start, and refuse one from which no run can start.
+
+    **Raises:** ValueError with cause and cure, also for a run that surely exceeds the memory.
+    """
+    require_config(config)
+    setup = config.build()
+    return start_balance(setup.scene, initial_state(setup.scene, setup.x))
+
+
+def _material(config: RunConfig) -> str:
+    made_of = config.material
+    if made_of.yield_c0 is not None:
+        yields = f"yields at c0 = {made_of.yield_c0:g}"
+    elif made_of.yield_curvature is not None:
+        yields = f"yields at {made_of.yield_curvature:.4g} 1/m"
+    else:
+        yields = "elastic"
+    name = "" if made_of.preset is None else f"{made_of.preset}, "
+    return (
+        f"{name}{made_of.young_modulus * 1e-9:.4g} GPa, {made_of.density:g} kg/m3, "
+        f"{made_of.thickness * 1e3:.4g} mm thick, {yields}"
+    )
+
+
+def _taken(config: RunConfig, nodes: int) -> str:
+    guess = estimate(config, nodes)
+    run = " to ".join(_duration(seconds) for seconds in guess.run)
+    compiling = " to ".join(f"{seconds:.0f}" for seconds in guess.compiling)
+    memory = " to ".join(f"{size * 1e-9:.2g}" for size in guess.memory)
+    return (
+        f"about {run} on one core, compiling {compiling} s, {memory} GB of the {gigabytes(memory_limit())} "
+        "here (rough)"
+    )
+
+
+def _duration(seconds: float) -> str:
+    for size, name in ((86400.0, "days"), (3600.0, "hours"), (60.0, "minutes")):
+        if seconds >= 2 * size:
+            return f"{_rounded(seconds / size)} {name}"
+    return f"{_rounded(seconds)} s"
+
+
+def _rounded(value: float) -> str:
+    """Two digits, without a power of ten."""
+    return f"{float(f'{value:.2g}'):.10g}"

@@ -1,0 +1,276 @@
+"""What a run is asked to do: options of scene, material and solver, validated before any work."""
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal
+
+import jax.numpy as jnp
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from jaxcrumple.material import presets
+from jaxcrumple.material.material import Material
+from jaxcrumple.options.suggest import nearest
+from jaxcrumple.options.units import (
+    LENGTH,
+    TIME,
+    KilogramPerCubicMetre,
+    Metre,
+    Pascal,
+    PerMetre,
+    PerSecond,
+    Second,
+    Unit,
+    unit_of,
+)
+from jaxcrumple.options.validation import ConfigError, Place, shortened, validated
+from jaxcrumple.scenes import SCENES, SceneEntry, Setup
+from jaxcrumple.solvers.scheme import Integrator, Scheme, integrator, switch_of
+from jaxcrumple.solvers.switch import Switch
+
+
+class Options(BaseModel):
+    """Base of all option groups: unknown names are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class MaterialOptions(Options):
+    """The sheet's material, in SI units; see `Material`. A `preset` has the numbers that are not given."""
+
+    preset: str | None = Field(None, examples=list(presets.PRESETS))
+    young_modulus: Pascal = 1e9
+    thickness: Metre = 0.25e-3
+    density: KilogramPerCubicMetre = 1000.0
+    yield_curvature: PerMetre | None = 200.0
+    yield_c0: float | None = None
+    gamma: float = 0.0
+    plastic_time: Second = 1e-3
+    drag_rate: PerSecond = 1e3
+    internal_damping_time: Second = 2e-7
+    mass_lumping: Literal["uniform", "area"] = "uniform"
+
+    @field_validator("preset")
+    @classmethod
+    def _known(cls, name: str | None) -> str | None:
+        return None if name is None else presets.find(name)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _completed(cls, values: Any) -> Any:
+        """Numbers of the preset, if one is named; `yield_c0` replaces the default yield curvature."""
+        if not isinstance(values, Mapping):
+            return values
+        named, thickness = _preset_of(values.get("preset")), _positive(values.get("thickness"))
+        if named is not None and ("thickness" not in values or thickness is not None):
+            sized = {} if thickness is None else {"thickness": thickness}
+            return presets.with_preset(named, {**values, **sized})
+        if values.get("yield_c0") is not None and "yield_curvature" not in values:
+            return {**values, "yield_curvature": None}
+        return values
+
+    def build(self) -> Material:
+        """The material."""
+        return Material(**self.model_dump(exclude={"preset"}))
+
+
+def _preset_of(name: Any) -> presets.Preset | None:
+    try:
+        return presets.PRESETS[presets.find(name)] if isinstance(name, str) else None
+    except ValueError:
+        return None
+
+
+def _positive(value: Any) -> float | None:
+    """A positive length in m of what an option may be given as, None for what is none."""
+    try:
+        length = float(LENGTH.si(value))
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return length if length > 0 else None
+
+
+class SolverOptions(Options):
+    """The integrator, None meaning the scheme's own; see `integrator` and `Switch`. `ledger`:
+    whether the work ledger is kept, see `Work`."""
+
+    rtol: float = Field(1e-2, gt=0, lt=0.1, allow_inf_nan=False)
+    scheme: Scheme = "hybrid"
+    linear: Literal["auto", "direct", "two-level", "block-cg"] | None = None
+    max_order: int = Field(5, ge=1, le=5)
+    rho_infinity: float = Field(0.0, ge=0, le=1)
+    max_step: Annotated[float | None, TIME] = Field(None, gt=0, allow_inf_nan=False)
+    switch_up: float | None = Field(None, gt=0)
+    switch_down: float | None = Field(None, gt=0)
+    dwell: float | None = Field(None, ge=0)
+    ignore: int | None = Field(None, ge=0)
+    minimum_steps: int | None = Field(None, ge=1)
+    ledger: bool = False
+
+    def switch(self) -> Switch:
+        """When the scheme changes the stage; what is None is the scheme's own."""
+        given: dict[str, Any] = {"up": self.switch_up, "down": self.switch_down, "dwell": self.dwell}
+        given |= {"ignore": self.ignore, "minimum_steps": self.minimum_steps}
+        given = {key: value for key, value in given.items() if value is not None}
+        return switch_of(self.scheme, self.rtol, **given)
+
+    def build(self) -> Integrator:
+        """The integrator."""
+        return integrator(
+            self.rtol,
+            scheme=self.scheme,
+            linear=self.linear,
+            switch=self.switch(),
+            max_order=self.max_order,
+            rho_infinity=self.rho_infinity,
+            max_step=jnp.asarray(jnp.inf if self.max_step is None else self.max_step),
+        )
+
+
+class RunConfig(Options):
+    """One run, complete: enough to start it again and get the same answer."""
+
+    scene: str
+    nodes: int = Field(1000, ge=16, le=1_000_000)
+    seed: int = Field(0, ge=0)
+    t_end: Second = Field(gt=0, lt=1e6, allow_inf_nan=False)
+    frames: int = Field(26, ge=1, le=100_000)
+    options: dict[str, Any] = Field(default_factory=dict)
+    material: MaterialOptions = MaterialOptions()
+    solver: SolverOptions = SolverOptions()
+
+    def build(self) -> Setup:
+        """Mesh, scene and start of the run."""
+        entry = SCENES[self.scene]
+        return entry.build(self.nodes, self.seed, material=self.material.build(), **self.options)
+
+
+def configure(
+    scene: str,
+    *,
+    nodes: int = 1000,
+    seed: int = 0,
+    t_end: float | str | None = None,
+    settings: Sequence[str] | Mapping[str, Any] = (),
+) -> RunConfig:
+    """Configuration of a run of a named scene.
+
+    **Arguments:** `settings`: "key=value" strings, or a mapping, of any option of the scene, the
+    material or the solver; `t_end`, by default the scene's own. Numbers are in SI units; strings may carry
+    a unit, e.g. "0.25 mm".
+
+    **Raises:** `ConfigError` for an unknown scene, key or value.
+    """
+    top = {"scene": scene, "nodes": nodes, "seed": seed}
+    return complete(with_settings(top | ({} if t_end is None else {"t_end": t_end}), settings))
+
+
+def with_settings(values: Mapping[str, Any], settings: Sequence[str] | Mapping[str, Any]) -> dict[str, Any]:
+    """Values of a run by group, as in a scene file, with single options replaced, given by name alone.
+
+    **Raises:** `ConfigError` for an unknown scene or name.
+    """
+    groups = _groups(_entry(values.get("scene")))
+    changed = dict(values)
+    for key, value in pairs(settings):
+        if key == "frames":
+            changed[key] = value
+        else:
+            name = _group(key, groups)
+            _check_table(name, changed.get(name, {}))
+            changed[name] = {**changed.get(name, {}), key: value}
+    return changed
+
+
+def complete(values: Mapping[str, Any], context: Any = None) -> RunConfig:
+    """Configuration of values by group: `scene`, `nodes`, `seed`, `t_end`, `frames`, and mappings `options`,
+    `material` and `solver`. What is missing is the scene's default. `context`: where the values are from, for
+    validators of the scene's options.
+
+    **Raises:** `ConfigError` for what is unknown or impossible.
+    """
+    entry = _entry(values.get("scene"))
+    groups = _groups(entry)
+    _check_names(values, groups)
+    parts = {name: values.get(name, {}) for name in groups}
+    for name, part in parts.items():
+        _check_table(name, part)
+    if parts["solver"].get("scheme") == "paper" and "damping" in entry.options.model_fields:
+        # The paper's scheme has its internal damping (25), unless another is asked for.
+        parts["options"] = {"damping": "paper", **parts["options"]}
+    checked = {name: validated(model, parts[name], (name,), context) for name, model in groups.items()}
+    checked["options"] = checked["options"].model_dump()
+    config = validated(RunConfig, {"t_end": entry.end(checked["options"]), **values, **checked})
+    last = entry.lasts(config.options)
+    if config.t_end >= last:
+        raise ConfigError(
+            f"t_end = {config.t_end:g} s must be less than {last:g} s, {entry.why_it_ends} ({config.scene}).",
+            ("t_end",),
+        )
+    for name in ("material", "solver"):
+        try:
+            getattr(config, name).build()
+        except ValueError as error:
+            raise ConfigError(str(error), _place(name, groups[name], str(error))) from error
+    return config
+
+
+def _entry(scene: Any) -> SceneEntry:
+    if scene is None:
+        raise ConfigError(f"scene is missing; give one of {', '.join(SCENES)}.", ("scene",))
+    if not isinstance(scene, str) or scene not in SCENES:
+        raise ConfigError(f"scene {scene!r} is unknown{nearest(str(scene), SCENES)}", ("scene",))
+    return SCENES[scene]
+
+
+def _groups(entry: SceneEntry) -> dict[str, type[BaseModel]]:
+    return {"options": entry.options, "material": MaterialOptions, "solver": SolverOptions}
+
+
+def _check_names(values: Mapping[str, Any], groups: Mapping[str, type[BaseModel]]) -> None:
+    """Refuse a name at the top that belongs elsewhere or nowhere."""
+    for key in values:
+        owners = [name for name, model in groups.items() if key in model.model_fields]
+        if key not in RunConfig.model_fields:
+            cure = (
+                f"; move it to the table [{owners[0]}]." if owners else nearest(key, RunConfig.model_fields)
+            )
+            raise ConfigError(f"{key!r} is unknown{' here' if owners else ''}{cure}", (key,))
+
+
+def _check_table(name: str, part: Any) -> None:
+    if not isinstance(part, Mapping):
+        raise ConfigError(f"{name} = {shortened(part)} must be a table of options, [{name}].", (name,))
+
+
+def _place(group: str, model: type[BaseModel], message: str) -> Place:
+    """Where a value is of which a builder's message speaks first."""
+    first = message.split(maxsplit=1)[0]
+    return (group, first) if first in model.model_fields else (group,)
+
+
+def unit_named(scene: str, name: str) -> Unit | None:
+    """The unit of an option of a scene, its material or the solver; None for one without, or none such."""
+    fields = [model.model_fields.get(name) for model in _groups(_entry(scene)).values()]
+    return next((unit_of(field) for field in fields if field is not None), None)
+
+
+def pairs(settings: Sequence[str] | Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """Names and values of settings or "key=value" strings; the word none stands for None."""
+    found: list[tuple[str, Any]] = []
+    for text in () if isinstance(settings, Mapping) else settings:
+        key, equals, value = text.partition("=")
+        if not equals or not key:
+            raise ConfigError(f"setting {text!r} must read key=value, e.g. thickness=1e-4.")
+        found.append((key.strip(), value.strip()))
+    named = list(settings.items()) if isinstance(settings, Mapping) else found
+    return [(key, None if str(value).lower() == "none" else value) for key, value in named]
+
+
+def _group(key: str, groups: Mapping[str, type[BaseModel]]) -> str:
+    for name, model in groups.items():
+        if key in model.model_fields:
+            return name
+    if key in ("nodes", "seed", "t_end"):
+        flag = key.replace("_", "-")
+        raise ConfigError(f"{key!r} is not a setting: give it beside them, on the command line as --{flag}.")
+    known = ["frames", "nodes", "seed", *(field for model in groups.values() for field in model.model_fields)]
+    raise ConfigError(f"setting {key!r} is unknown{nearest(key, known)}")

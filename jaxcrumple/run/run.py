@@ -1,0 +1,345 @@
+"""One run from a configuration to a folder of results, resumable at any moment."""
+
+import importlib.metadata
+import resource
+import sys
+import time
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from jaxcrumple._jax.door import door
+from jaxcrumple.io import RunDirectory, RunDirectoryError, load_checkpoint, sheet_fields, write_vtkhdf
+from jaxcrumple.io.frames import Stiffness
+from jaxcrumple.io.lock import writing
+from jaxcrumple.io.manifest import Manifest
+from jaxcrumple.io.rundir import FILM, PARTIAL, RUN, is_run, make_folder, read_contents
+from jaxcrumple.io.sketch import SAME, first_difference, sketch_scene
+from jaxcrumple.io.verify import check_sound, damages, go_back
+from jaxcrumple.mesh.mesh import Mesh
+from jaxcrumple.run.config import ConfigError, RunConfig
+from jaxcrumple.run.estimate import require_config
+from jaxcrumple.run.summary import physics
+from jaxcrumple.scenes import Setup
+from jaxcrumple.simulate import Observer, frame_times, simulate
+from jaxcrumple.solvers.scheme import Integrator
+from jaxcrumple.solvers.start import check_start, pierced
+from jaxcrumple.state import RESULTS, STAGES, State, initial_state
+
+# How many checkpoints are kept to the end, beside the last one.
+KEPT = 4
+PACKAGES = ("jaxcrumple", "jax", "jaxlib", "numpy", "scipy", "diffrax", "equinox")
+
+
+class Recorder:
+    """Saves frames, rows and checkpoints as a run goes on.
+
+    Each checkpoint comes with all rows and frames before it, so that a run that is killed goes on from the
+    last one as if nothing had been written since. A few of them are kept to the end.
+    """
+
+    def __init__(self, folder: RunDirectory, frames: int, spent: dict[str, float]):
+        self.folder = folder
+        self.stride = max(1, round(frames / KEPT))
+        self.spent = spent
+        self.start = time.perf_counter(), time.process_time()
+
+    def frame(self, index: int, state: State) -> None:
+        """Save a frame."""
+        self.folder.save_frame(float(state.t), state.x, state.v, state.p)
+        self.checkpoint(state, keep=index % self.stride == 0)
+
+    def chunk(self, state: State, history: pd.DataFrame, events: pd.DataFrame, frames: int) -> None:
+        """Append rows, then checkpoint."""
+        numbers = history.assign(stage=[STAGES.index(stage) for stage in history["stage"]])
+        self.folder.append_history(numbers.to_numpy(float))
+        self.folder.append_events(events.to_dict("records"))
+        self.checkpoint(state)
+
+    def checkpoint(self, state: State, *, keep: bool = False) -> None:
+        """Save the whole state."""
+        self.folder.commit(state, {"t": float(state.t), "spent": self.totals()}, keep=keep)
+
+    def totals(self) -> dict[str, float]:
+        """Wall and CPU seconds of this run, earlier sessions included."""
+        wall, cpu = self.start
+        return {
+            "run_s": self.spent.get("run_s", 0.0) + time.perf_counter() - wall,
+            "cpu_s": self.spent.get("cpu_s", 0.0) + time.process_time() - cpu,
+        }
+
+
+@door
+def start_run(
+    config: RunConfig,
+    out: str | Path,
+    observers: Sequence[Observer] = (),
+    *,
+    max_seconds: float | None = None,
+    wait: bool = False,
+) -> dict[str, Any]:
+    """Run a configuration into a new folder `out`; returns its summary. After `max_seconds` of wall time,
+    compiling left out, it ends with the result "budget", and `resume_run` goes on with it.
+
+    `wait`: for another process that writes into the folder to end, instead of refusing.
+
+    **Raises:** `RunDirectoryError` when `out` is taken or cannot be written, ValueError for
+    impossible options or a sheet that starts behind a wall or within itself; both before the run begins, and
+    nothing is left on the disk.
+    """
+    solver = config.solver.build()
+    RunDirectory.check_free(out)
+    require_config(config)
+    setup = config.build()
+    state = initial_state(setup.scene, setup.x, ledger=config.solver.ledger)
+    check_start(setup.scene, state)
+    with writing(make_folder(out), wait=wait):
+        folder = RunDirectory.create(out, *_parts(config, setup))
+        return _go(config, folder, setup, solver, state, {}, observers, max_seconds)
+
+
+@door
+def resume_run(
+    out: str | Path,
+    observers: Sequence[Observer] = (),
+    *,
+    max_seconds: float | None = None,
+    wait: bool = False,
+) -> dict[str, Any]:
+    """Go on with the run in folder `out` from its last checkpoint, for at most `max_seconds` of wall time;
+    returns its summary.
+
+    All files of the run are checked first. One that was successful is only read. `wait` as in `start_run`.
+
+    **Raises:** `RunDirectoryError` when `out` is not a run, is damaged, or is being written by another
+    process; ValueError when its options no longer make the scene it began with.
+    """
+    path = RunDirectory.open(out).path
+    with writing(path, wait=wait):
+        lacking = check_sound(path)
+        folder = RunDirectory.open(path)
+        summary = {} if lacking else folder.read_summary()
+        if summary.get("result") == "success":
+            return summary
+        config = stored_config(folder)
+        solver, setup = config.solver.build(), _built_again(config, folder)
+        folder.cut()
+        state, spent = initial_state(setup.scene, setup.x, ledger=config.solver.ledger), {}
+        if folder.manifest.checkpoint is not None:
+            state, metadata = load_checkpoint(path / folder.manifest.checkpoint, state)
+            spent = metadata["spent"]
+        return _go(config, folder, setup, solver, state, spent, observers, max_seconds)
+
+
+def repair_run(out: str | Path) -> float | None:
+    """Take the run in folder `out` back to the last moment before all damage; its time in s.
+
+    The run goes on from there by `resume_run`, to the same answer. Returns None where nothing is damaged.
+
+    **Raises:** `RunDirectoryError` when `out` is not a run, is being written, or nothing of it is sound.
+    """
+    path = Path(out)
+    if not (path.is_dir() and is_run(path)):
+        RunDirectory.open(path)
+    with writing(path):
+        if not damages(path):
+            return None
+        t = go_back(path)
+        if t is not None:
+            RunDirectory.open(path).cut()
+            return t
+        _begin_again(path)
+        return 0.0
+
+
+def _parts(config: RunConfig, setup: Setup) -> tuple[dict[str, Any], Mesh, Stiffness, dict[str, Any]]:
+    """What the folder of a run holds from the beginning."""
+    scene = setup.scene
+    stiffness = np.asarray(scene.membrane.stiffness), np.asarray(scene.bending.stiffness)
+    return config.model_dump(mode="json"), setup.mesh, stiffness, sketch_scene(scene, setup.x)
+
+
+def _begin_again(path: Path) -> None:
+    """Empty the folder of a run of which only `run.json` is sound, so that it starts from t = 0."""
+    try:
+        contents = read_contents(path, (path / RUN).read_bytes())
+    except (OSError, RunDirectoryError) as error:
+        raise RunDirectoryError(
+            f"nothing in {str(path)!r} is sound enough to go on from ({error}); start the run again in a new "
+            "folder"
+        ) from error
+    folder = RunDirectory(path, contents, Manifest())
+    config = stored_config(folder)
+    setup = _built_again(config, folder, mesh=False)
+    folder.clear()
+    RunDirectory.begin(path, *_parts(config, setup))
+
+
+def _built_again(config: RunConfig, folder: RunDirectory, *, mesh: bool = True) -> Setup:
+    """The run's mesh, scene and start.
+
+    **Raises:** ValueError if they are not those that the run began with.
+    """
+    require_config(config)
+    setup = config.build()
+    other = first_difference(folder.built, sketch_scene(setup.scene, setup.x))
+    if mesh and not _same_mesh(folder.load_mesh(), setup.mesh):
+        other = "mesh"
+    if other:
+        raise RunDirectoryError(
+            f"the options of {str(folder.path)!r} now make another {other} than the run began with: a file "
+            "that they name was changed since, or another version of the program builds it differently. "
+            "Restore the file or the version, or start a new run in another folder"
+        )
+    return setup
+
+
+def _same_mesh(saved: Mesh, now: Mesh) -> bool:
+    if not np.array_equal(saved.faces, now.faces):
+        return False
+    size = float(np.max(np.ptp(saved.vertices, axis=0)))
+    return np.allclose(saved.vertices, now.vertices, rtol=0.0, atol=SAME * size)
+
+
+def stored_config(folder: RunDirectory) -> RunConfig:
+    """The configuration a folder's run was started with."""
+    try:
+        return RunConfig(**folder.config)
+    except ValueError as error:
+        raise RunDirectoryError(f"{folder.path}: run.json cannot be read as a run: {error}") from error
+
+
+class Ending(NamedTuple):
+    """How a run ended: its last good state, the name of its result and what it means, and seconds spent on
+    compiling."""
+
+    state: State
+    result: str
+    message: str
+    compile_s: float
+
+
+def _go(
+    config: RunConfig,
+    folder: RunDirectory,
+    setup: Setup,
+    solver: Integrator,
+    state: State,
+    spent: dict[str, float],
+    observers: Sequence[Observer],
+    max_seconds: float | None,
+) -> dict[str, Any]:
+    """Simulate what is left, and write the ending: the summary last, so that it speaks for all the rest."""
+    recorder = Recorder(folder, config.frames, spent)
+    times, reached = frame_times(config.t_end, config.frames), len(folder.frames())
+    if reached == len(times):
+        ending = _ended(setup, state)
+    else:
+        watchers = (recorder, *observers)
+        solution = simulate(
+            setup.scene,
+            state,
+            times,
+            solver=solver,
+            observers=watchers,
+            first_frame=reached,
+            max_seconds=max_seconds,
+        )
+        ending = Ending(solution.state, solution.result, solution.message, solution.compile_s)
+        # The last good state is worth keeping even where no frame was due.
+        recorder.checkpoint(ending.state)
+    export(folder)
+    summary = _summary(config, folder, setup, ending, recorder)
+    folder.finish(summary)
+    return summary
+
+
+def _ended(setup: Setup, state: State) -> Ending:
+    """The ending of a run that had saved all its frames when it was cut off."""
+    scene = setup.scene
+    through = scene.contact is not None and len(pierced(scene, state.x))
+    result = RESULTS.intersected if through else RESULTS.success
+    return Ending(state, "intersected" if through else "success", RESULTS[result], 0.0)  # type: ignore[misc]
+
+
+def export(folder: RunDirectory, name: str = FILM) -> Path | None:
+    """Write the film for ParaView from the saved frames, if there are any; its path."""
+    if not folder.frames():
+        return None
+    mesh, stiffness = folder.load_sheet()
+    fields = sheet_fields(mesh, *stiffness)
+    write_vtkhdf(folder.path / name, mesh, folder.load_frames(), *fields)
+    return folder.path / name
+
+
+def film(folder: RunDirectory) -> Path | None:
+    """Path of a run's film, which is written again where it is missing or damaged; None without frames.
+
+    One that has not ended gets a film of its frames so far, under another name.
+    """
+    if not folder.finished:
+        return export(folder, PARTIAL)
+    if folder.is_sound(FILM):
+        return folder.path / FILM
+    with writing(folder.path):
+        path = export(folder)
+        folder.add_film()
+    return path
+
+
+def _summary(
+    config: RunConfig, folder: RunDirectory, setup: Setup, ending: Ending, recorder: Recorder
+) -> dict[str, Any]:
+    state, counters = ending.state, ending.state.counters
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return {
+        "scene": config.scene,
+        "nodes": setup.mesh.n_nodes,
+        "seed": config.seed,
+        "t_end": config.t_end,
+        "t_reached": float(state.t),
+        "rtol": config.solver.rtol,
+        "result": ending.result,
+        "message": ending.message,
+        "compile_s": ending.compile_s,
+        **recorder.totals(),
+        # ru_maxrss is in kB on Linux and in bytes on macOS.
+        "peak_memory_mb": peak / (2**20 if sys.platform == "darwin" else 2**10),
+        "steps": {
+            **dict(zip(STAGES, map(int, counters.steps), strict=True)),
+            "rejected": int(np.sum(counters.rejected)),
+        },
+        "newton_iterations": int(counters.newton),
+        "linear_iterations": int(counters.linear),
+        "factors": int(counters.factors),
+        "switches": int(counters.switches),
+        **physics(setup, state, folder.read_history(), folder.read_events()),
+        "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
+    }
+
+
+def check_resumable(config: RunConfig, given: Collection[str], out: str | Path) -> None:
+    """Refuse to resume a folder whose run was asked something else.
+
+    Of `config` only what was `given` counts, by name.
+
+    **Raises:** `ConfigError` naming the options that differ, and their values.
+    """
+    stored, wanted = flat(stored_config(RunDirectory.open(out))), flat(config)
+    different = [name for name in ("scene", *given) if stored.get(name) != wanted[name]]
+    if different:
+        was = ", ".join(f"{name} = {stored.get(name)!r}, not {wanted[name]!r}" for name in different)
+        raise ConfigError(
+            f"{out} was started with {was}; resume it with the values it has (or with none at all), or start "
+            "a new run in another folder."
+        )
+
+
+def flat(config: RunConfig) -> dict[str, Any]:
+    """All options by name."""
+    top = config.model_dump()
+    groups = [top.pop(name) for name in ("options", "material", "solver")]
+    return top | {name: value for group in groups for name, value in group.items()}

@@ -1,0 +1,274 @@
+"""Scene: everything the equations of motion contain, and what one differentiates."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxcrumple._jax.door import door
+from jaxcrumple._jax.tree import is_known, require_finite, require_numbers, shown
+from jaxcrumple.assembly.sparsity import Pattern, build_pattern
+from jaxcrumple.contact.energy import Contact, SelfContact, build_contact, check_options_of
+from jaxcrumple.contact.lists import Near
+from jaxcrumple.material.material import Material, ModelConstants
+from jaxcrumple.mesh.mesh import Mesh
+from jaxcrumple.model.bending import Bending
+from jaxcrumple.model.checks import check_surroundings
+from jaxcrumple.model.damping import AbstractDashpot, CentralDashpot, Drag, PaperDashpot
+from jaxcrumple.model.loads import ElementEnergy, Gravity, Prescribed
+from jaxcrumple.model.membrane import Membrane
+from jaxcrumple.model.plasticity import AbstractFlowRule, SmoothstepFlow
+from jaxcrumple.model.walls import AbstractShape, Wall
+
+# Wall stiffness as a share of the mean spring constant, for a sheet of WALL_NODES nodes.
+WALL_SHARE = 0.05
+WALL_NODES = 3000
+
+
+class Scene(eqx.Module):
+    """A sheet, its surroundings and its scales. Terms that are None cost nothing.
+
+    - `mass` (n,) kg; `area` m2; `reference_acceleration` m/s2: $a_{ref} = k_s/(m\\lambda)$;
+      `velocity_scale` m/s weighs velocities in the explicit stage's error test.
+    - `membrane`, `bending`: always present. `plasticity`, `drag`, `damping`, `gravity`,
+      `prescribed`, `contact`: or None. `walls`, `extra`: tuples, possibly empty.
+    - `pattern`: where the tangent's entries are.
+    """
+
+    mass: Array
+    area: Array
+    reference_acceleration: Array
+    velocity_scale: Array
+    membrane: Membrane
+    bending: Bending
+    plasticity: AbstractFlowRule | None
+    drag: Drag | None
+    damping: AbstractDashpot | None
+    walls: tuple[Wall, ...]
+    gravity: Gravity | None
+    prescribed: Prescribed | None
+    extra: tuple[ElementEnergy, ...]
+    contact: Contact | None
+    pattern: Pattern
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes."""
+        return self.mass.shape[0]
+
+    @property
+    def length_scale(self) -> Array:
+        """$\\sqrt A$ in m: the unit of the position error."""
+        return jnp.sqrt(self.area)
+
+    @property
+    def inertial_time(self) -> Array:
+        """m/b_iso in s, within which inertia outweighs drag; infinite without drag."""
+        if self.drag is None:
+            return jnp.asarray(jnp.inf)
+        return jnp.mean(self.mass) / jnp.mean(self.drag.coefficient)
+
+    def rest_curvature(self, p: Array | None) -> Array:
+        """The state's rest curvature, or the undamaged one of an elastic scene."""
+        return self.bending.rest_curvature if p is None else p
+
+
+def require_scene(scene: Any) -> None:
+    """Refuse what is no scene.
+
+    **Raises:** ValueError with its type.
+    """
+    if not isinstance(scene, Scene):
+        raise ValueError(f"scene has type {type(scene).__name__}; it must be what jaxcrumple.sheet makes.")
+
+
+def check_scene(scene: Any) -> None:
+    """Refuse what is no scene, or one whose numbers or parts were replaced by what cannot be.
+
+    Numbers that JAX traces are not looked at.
+
+    **Raises:** ValueError that names the part.
+    """
+    require_scene(scene)
+    hinges = scene.bending.nodes.shape[0]
+    gravity = None if scene.gravity is None else scene.gravity.g
+    surroundings = (scene.walls, gravity, scene.prescribed, scene.extra, scene.plasticity)
+    check_surroundings(scene.n_nodes, hinges, *surroundings)
+    for name, value in (
+        ("mass", scene.mass), ("area", scene.area), ("membrane.rest_length", scene.membrane.rest_length)
+    ):  # fmt: skip
+        require_numbers(f"scene.{name}", value, positive=True)
+    for name, value in (
+        ("membrane.stiffness", scene.membrane.stiffness),
+        ("bending.stiffness", scene.bending.stiffness),
+        ("drag.coefficient", None if scene.drag is None else scene.drag.coefficient),
+        ("damping.coefficient", None if scene.damping is None else scene.damping.coefficient),
+    ):
+        if value is not None:
+            require_numbers(f"scene.{name}", value)
+    require_finite("scene.bending.rest_curvature", scene.bending.rest_curvature)
+
+
+def with_near(scene: Scene, near: Near) -> Scene:
+    """The scene with another list of interacting sites, and the tangent's pattern that goes with it."""
+    assert scene.contact is not None
+    nodes = scene.contact.faces[near.triangles].reshape(-1, 6)
+    return eqx.tree_at(
+        lambda s: (
+            s.contact.near, s.pattern.contact.triangles, s.pattern.contact.nodes, s.pattern.contact.count,
+        ),
+        scene,
+        (near, near.triangles, nodes, near.pair_count),
+    )  # fmt: skip
+
+
+@door
+def sheet(
+    mesh: Mesh,
+    material: Material,
+    *,
+    walls: Sequence[Wall | AbstractShape] = (),
+    gravity: Sequence[float] | None = None,
+    prescribed: Prescribed | None = None,
+    extra: Sequence[ElementEnergy] = (),
+    plasticity: AbstractFlowRule | None = None,
+    damping: str = "central",
+    contact: SelfContact | None = None,
+    like: Scene | None = None,
+) -> Scene:
+    """Scene of one sheet.
+
+    A function of the material with derivatives, where `like` has what is made on the host.
+
+    **Arguments:**
+
+    - `mesh`, `material`: the sheet.
+    - `walls`: `Wall`s, or bare shapes, which get the default stiffness (0.05 ks at n = 3000, scaled
+      with node area) and range ($h_{eff}$).
+    - `gravity`: acceleration (3,) in m/s2, or None.
+    - `prescribed`, `extra`: supports and energies of your own.
+    - `plasticity`: a flow rule of your own in place of the material's.
+    - `damping`: "central" (default) or "paper" (eq. 25).
+    - `contact`: `SelfContact(...)`, or None for a phantom sheet, which passes through itself.
+    - `like`: a scene of the same mesh, stencils and contact, from which the tangent's pattern, the refinement
+      of contact and its lists are taken.
+
+    **Returns:** a `Scene`. **Raises:** ValueError when x64 is off, or for an unknown option, walls, supports,
+    energies or a flow rule of another type, of shapes that do not fit the mesh, with node numbers that it
+    lacks, or with numbers that are not finite, or a scene that is not alike.
+    """
+    if not isinstance(mesh, Mesh):
+        raise ValueError(
+            f"mesh = {shown(mesh)} must be a Mesh: Mesh.from_arrays(vertices, faces), disc(...)."
+        )
+    if not isinstance(material, Material):
+        raise ValueError(f"material = {shown(material)} must be a Material, e.g. Material(thickness=1e-4).")
+    if damping not in ("central", "paper"):
+        raise ValueError(f"damping={damping!r} is unknown; choose 'central' or 'paper'.")
+    _check_walls(walls)
+    check_surroundings(mesh.n_nodes, len(mesh.hinges), walls, gravity, prescribed, extra, plasticity)
+    if contact is not None and not isinstance(contact, SelfContact):
+        raise ValueError(f"contact = {contact!r} must be SelfContact(...), or None for a phantom sheet.")
+    if like is not None:
+        _check_alike(mesh, contact, extra, like)
+    constants = material.discretize(mesh)
+    edges, hinges = jnp.asarray(mesh.edges), jnp.asarray(mesh.hinges)
+    mass = jnp.asarray(constants.mass)
+    b_int = jnp.asarray(constants.b_int)
+    rest_length = jnp.asarray(mesh.edge_length)
+    dashpot: AbstractDashpot | None
+    if not _is_present(constants.b_int):
+        dashpot = None
+    elif damping == "central":
+        dashpot = CentralDashpot(edges, b_int)
+    else:
+        dashpot = PaperDashpot(edges, b_int, rest_length)
+    if plasticity is None and constants.c0 is not None:
+        c0 = jnp.asarray(constants.c0)
+        plasticity = SmoothstepFlow(c0, jnp.asarray(constants.plastic_time), jnp.asarray(constants.gamma))
+    if like is None:
+        stencils = [mesh.edges, mesh.hinges, *(np.asarray(e.nodes) for e in extra)]
+        pattern = build_pattern(mesh.vertices, stencils, None if contact is None else mesh.faces)
+    else:
+        pattern = like.pattern
+    return Scene(
+        mass=mass,
+        area=jnp.asarray(mesh.area),
+        reference_acceleration=jnp.asarray(constants.a_ref),
+        velocity_scale=_velocity_scale(mesh, material),
+        membrane=Membrane(edges, jnp.asarray(constants.ks), rest_length),
+        bending=Bending(
+            hinges,
+            jnp.asarray(constants.kb * mesh.hinge_weight),
+            jnp.asarray(mesh.rest_curvature),
+        ),
+        plasticity=plasticity,
+        drag=Drag(jnp.asarray(constants.drag)) if _is_present(constants.drag) else None,
+        damping=dashpot,
+        walls=tuple(_wall(w, mesh, constants) for w in walls),
+        gravity=None if gravity is None else Gravity(jnp.asarray(gravity, float), mass),
+        prescribed=prescribed,
+        extra=tuple(extra),
+        contact=_contact(mesh, constants, contact, like),
+        pattern=pattern,
+    )
+
+
+def _contact(
+    mesh: Mesh, constants: ModelConstants, options: SelfContact | None, like: Scene | None
+) -> Contact | None:
+    if options is None:
+        return None
+    return build_contact(mesh, constants, options, None if like is None else like.contact)
+
+
+def _check_alike(mesh: Mesh, contact: SelfContact | None, extra: Sequence[ElementEnergy], like: Any) -> None:
+    if not isinstance(like, Scene):
+        raise ValueError(f"like has type {type(like).__name__}; it must be a Scene.")
+    pairs = [(mesh.edges, like.membrane.nodes), (mesh.hinges, like.bending.nodes)]
+    same = all(np.array_equal(*pair) for pair in pairs if is_known(pair))
+    if not same or like.n_nodes != mesh.n_nodes or (contact is None) != (like.contact is None):
+        raise ValueError(
+            "the scene that this one is to be like has another mesh, or contact where this one has none, or "
+            "the other way round; leave `like` out."
+        )
+    own, its = ([term.nodes for term in terms] for terms in (extra, like.extra))
+    if len(own) != len(its) or (is_known(own, its) and not all(map(np.array_equal, own, its))):
+        raise ValueError(
+            "the scene that this one is to be like has an `extra` with other nodes; leave `like` out."
+        )
+    if contact is not None and like.contact is not None:
+        check_options_of(contact, like.contact)
+
+
+def _check_walls(walls: Any) -> None:
+    if not isinstance(walls, Sequence) or not all(isinstance(w, Wall | AbstractShape) for w in walls):
+        raise ValueError(
+            f"walls = {shown(walls)} must be a list of shapes or walls: [Sphere(center, radius)]."
+        )
+
+
+def _wall(wall: Wall | AbstractShape, mesh: Mesh, constants) -> Wall:
+    if isinstance(wall, Wall):
+        return wall
+    share = WALL_SHARE * constants.ks.mean() * WALL_NODES / mesh.area
+    return Wall(wall, jnp.asarray(share * mesh.node_area), jnp.asarray(constants.sigma))
+
+
+def _velocity_scale(mesh: Mesh, material: Material) -> Array:
+    """Velocity whose error counts like a position error of the sheet's size.
+
+    A velocity error moves a node by that error over the drag rate before drag removes it; without
+    drag the speed of sound in the sheet stands in.
+    """
+    if _is_present(material.drag_rate):
+        return jnp.asarray(np.sqrt(mesh.area) * material.drag_rate)
+    return jnp.sqrt(jnp.asarray(material.young_modulus / material.density))
+
+
+def _is_present(values: Any) -> bool:
+    """Whether a term has numbers other than 0; what JAX traces is taken to have."""
+    return not is_known(values) or bool(np.any(values))

@@ -1,0 +1,127 @@
+"""Steps of the dynamic stage: eq. (1) with plastic flow by an explicit method."""
+
+import abc
+from typing import Any, NamedTuple, cast
+
+import diffrax
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+
+from jaxcrumple._jax.batched_cond import where_needed
+from jaxcrumple._jax.tree import as_float
+from jaxcrumple.scene import Scene
+from jaxcrumple.solvers.contact.schedule import passes, sharpest
+from jaxcrumple.solvers.explicit.stability import Fastest, beside_walls
+from jaxcrumple.state import CAUSES, Slopes, State
+from jaxcrumple.system import rates
+
+
+class Tried(NamedTuple):
+    """What a method makes of a step: `x`, `v` (n, 3) and `p` (h,) at its end, what the `error` of these three
+    may be, None where it is not looked at, and the slopes there."""
+
+    x: Array
+    v: Array
+    p: Array | None
+    error: tuple[Array, Array | None, Array | None]
+    slopes: Slopes
+
+
+class Attempt(NamedTuple):
+    """A tried step: new `x`, `v`, `p`, the `slopes` there, its `error` in units of the tolerance and the step
+    to try next. `cause` is an index into `CAUSES`, or -1 when the step is accepted; `turn` is `sharpest` at
+    `x`."""
+
+    x: Array
+    v: Array
+    p: Array | None
+    slopes: Slopes
+    error: Array
+    cause: Array
+    next_h: Array
+    turn: Array
+
+    @property
+    def accepted(self) -> Array:
+        """Whether the step stands."""
+        return self.cause < 0
+
+
+class AbstractExplicit(eqx.Module):
+    """An explicit method and its options.
+
+    - `rtol`: tolerance in maximum norm: positions over $\\sqrt A$, p over 2, velocities over
+      `Scene.velocity_scale`.
+    - `safety`: share of the estimated stability limit that a step may take.
+    """
+
+    rtol: Array
+    safety: Array = eqx.field(default=0.8, converter=as_float)
+    # Order of the method, and the power of the step with which its estimate of the local error falls.
+    order: eqx.AbstractClassVar[int]
+    error_order: eqx.AbstractClassVar[int]
+
+    @staticmethod
+    @abc.abstractmethod
+    def stable(motion: Fastest) -> Array:
+        """Largest stable step in s."""
+
+    @abc.abstractmethod
+    def step(self, scene: Scene, state: State, h: Array) -> Tried:
+        """A step of `h` s from a state whose slopes are known."""
+
+    @staticmethod
+    @abc.abstractmethod
+    def advance(
+        scene: Scene, t: Array, h: Array, x: Array, v: Array, p: Array | None
+    ) -> tuple[Array, Array, Array | None]:
+        """Positions and velocities (n, 3) and p a step of `h` s after time `t`: what `step` leads to, without
+        its error, to be differentiated."""
+
+    def attempt(self, scene: Scene, state: State, h: Array, cap: Array) -> Attempt:
+        """Try a step of `h` s from a state whose slopes are known; the next one is `cap` s at most."""
+        tried, t1 = self.step(scene, state, h), state.t + h
+        units = self._units(scene, tried.error)
+        finite = jnp.isfinite(units) & jnp.isfinite(jnp.sum(tried.x)) & jnp.isfinite(jnp.sum(tried.v))
+        keep, next_h = self._resized(units, state.t, h, cap)
+        next_h = jnp.where(finite, next_h, 0.25 * h)
+        good = keep & finite
+        unstable = h > beside_walls(scene, state.limit, tried.x, t1, self.stable)
+        turn = sharpest(scene, tried.x)
+        stopped = good & (unstable | passes(scene, state, tried.x, t1, turn))
+        next_h = jnp.where(stopped, 0.4 * h, next_h)
+        cause = jnp.where(finite, CAUSES.index("error"), CAUSES.index("nonfinite"))
+        cause = jnp.where(good, jnp.where(stopped, CAUSES.index("contact"), -1), cause)
+        return Attempt(tried.x, tried.v, tried.p, tried.slopes, units, cause, next_h, turn)
+
+    def _units(self, scene: Scene, error: tuple[Array, Array | None, Array | None]) -> Array:
+        """The error in units of the tolerance."""
+        scales: tuple[Array, ...] = (scene.length_scale, scene.velocity_scale, jnp.asarray(2.0))
+        parts = [jnp.max(jnp.abs(e)) / scale for e, scale in zip(error, scales, strict=True) if e is not None]
+        return jnp.max(jnp.stack(parts)) / self.rtol
+
+    def _resized(self, units: Array, t: Array, h: Array, cap: Array) -> tuple[Array, Array]:
+        """Whether a step with that error may be kept, and the step in s to try next."""
+        controller = diffrax.PIDController(rtol=0.0, atol=1.0, dtmax=cap)
+        # An integral controller keeps no memory, so its state starts afresh with every step; of the equations
+        # it only knows the error.
+        y, unasked = jnp.zeros(()), cast(Any, None)
+        _, memory = controller.init(unasked, t, t + h, y, h, unasked, unasked, self.error_order)
+        keep, start, end, _, _, _ = controller.adapt_step_size(
+            t, t + h, y, y, unasked, units, self.error_order, memory
+        )
+        return jnp.asarray(keep), jnp.asarray(end - start)
+
+
+def with_slopes(scene: Scene, state: State, wanted: Array | bool = True) -> State:
+    """The state with its slopes where they are `wanted`, computed if no step handed them on."""
+    due = wanted & ~state.slopes.known
+    slopes = where_needed(due, slopes_at, state.slopes, scene, state.x, state.v, state.p, state.t)
+    return eqx.tree_at(lambda s: s.slopes, state, slopes)
+
+
+def slopes_at(scene: Scene, x: Array, v: Array, p: Array | None, t: Array) -> Slopes:
+    """Derivatives of `v` (n, 3) and `p` (h,) at positions `x` (n, 3) and time `t`."""
+    _, acceleration, flow = rates(scene, x, v, p, t)
+    return Slopes(acceleration, flow, jnp.asarray(True))

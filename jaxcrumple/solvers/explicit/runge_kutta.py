@@ -1,0 +1,105 @@
+"""Kutta's 3/8 rule with an embedded third-order method: the paper's explicit stage."""
+
+from typing import ClassVar
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxcrumple.scene import Scene
+from jaxcrumple.solvers.explicit.base import AbstractExplicit, Tried
+from jaxcrumple.solvers.explicit.stability import Fastest
+from jaxcrumple.state import Slopes, State
+from jaxcrumple.system import rates
+
+# Stability of the method on the imaginary axis (2.83) and on the negative real axis (2.79).
+STABILITY = 2.75
+
+
+class RK43(diffrax.AbstractERK):
+    """Kutta's 3/8 rule (order 4) with an embedded third-order method on an extra, reused stage."""
+
+    tableau = diffrax.ButcherTableau(
+        c=np.array([1 / 3, 2 / 3, 1.0, 1.0]),
+        a_lower=(
+            np.array([1 / 3]),
+            np.array([-1 / 3, 1.0]),
+            np.array([1.0, -1.0, 1.0]),
+            np.array([1 / 8, 3 / 8, 3 / 8, 1 / 8]),
+        ),
+        b_sol=np.array([1 / 8, 3 / 8, 3 / 8, 1 / 8, 0.0]),
+        b_error=np.array([1 / 8 - 1 / 12, 3 / 8 - 1 / 2, 3 / 8 - 1 / 4, 1 / 8, -1 / 6]),
+    )
+    interpolation_cls = diffrax.ThirdOrderHermitePolynomialInterpolation.from_k
+
+    def order(self, terms) -> int:
+        """Order of the solution."""
+        return 4
+
+
+# The stages of a step that is accepted: their times, and rows of the tableau.
+_TIMES = np.append(0.0, RK43.tableau.c[:-1])
+_STAGES = np.zeros((len(_TIMES), len(_TIMES)))
+for _number, _row in enumerate(RK43.tableau.a_lower[:-1], 1):
+    _STAGES[_number, : len(_row)] = _row
+
+
+def _field(t, y, scene: Scene):
+    x, v, p = y
+    return rates(scene, x, v, p, t)
+
+
+_TERM = diffrax.ODETerm(_field)
+_SOLVER = RK43()
+
+
+class RungeKutta(AbstractExplicit):
+    """Order 4, four forces a step: where errors are to be far below what stability asks for."""
+
+    order: ClassVar[int] = 4
+    error_order: ClassVar[int] = 4
+
+    @staticmethod
+    def stable(motion: Fastest) -> Array:
+        """Largest stable step in s."""
+        return STABILITY / jnp.maximum(motion.omega, motion.damping + motion.drag)
+
+    def step(self, scene: Scene, state: State, h: Array) -> Tried:
+        """A step of `h` s from a state whose slopes are known."""
+        y0, t1 = (state.x, state.v, state.p), state.t + h
+        # A stage handed on is that of the point before supports are put in their places.
+        anew = jnp.asarray(scene.prescribed is not None)
+        stage = jnp.asarray(False), (state.v, state.slopes.acceleration, state.slopes.flow)
+        y1, error, _, stages, _ = _SOLVER.step(_TERM, state.t, t1, y0, scene, stage, anew)
+        assert error is not None and stages is not None
+        (x, v, p), (_, (_, acceleration, flow)) = y1, stages
+        if scene.prescribed is not None:
+            x, v = scene.prescribed.position(x, t1), scene.prescribed.velocity(v, t1)
+        return Tried(x, v, p, error, Slopes(acceleration, flow, jnp.asarray(True)))
+
+    @staticmethod
+    def advance(
+        scene: Scene, t: Array, h: Array, x: Array, v: Array, p: Array | None
+    ) -> tuple[Array, Array, Array | None]:
+        """Positions and velocities (n, 3) and p a step of `h` s after time `t`, to be differentiated."""
+        y = (x, v, p)
+
+        def moved(slopes, weights: Array):
+            return jax.tree.map(lambda y, k: y + h * jnp.tensordot(weights, k, 1), y, slopes)
+
+        def stage(slopes, row: tuple[Array, Array, Array]):
+            number, c, weights = row
+            x, v, p = moved(slopes, weights)
+            slope = rates(scene, x, v, p, t + c * h)
+            return jax.tree.map(lambda all, k: all.at[number].set(k), slopes, slope), None
+
+        # One stage is compiled, and differentiated, for all of them.
+        slopes = jax.tree.map(lambda y: jnp.zeros((len(_STAGES), *y.shape)), y)
+        rows = jnp.arange(len(_STAGES)), jnp.asarray(_TIMES), jnp.asarray(_STAGES)
+        slopes, _ = jax.lax.scan(stage, slopes, rows)
+        x, v, p = moved(slopes, jnp.asarray(RK43.tableau.b_sol[:-1]))
+        if scene.prescribed is None:
+            return x, v, p
+        return scene.prescribed.position(x, t + h), scene.prescribed.velocity(v, t + h), p

@@ -1,0 +1,76 @@
+"""Verlet's method in its velocity form: order 2 with one force a step."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxcrumple.geometry.hinge import curvature
+from jaxcrumple.scene import Scene
+from jaxcrumple.solvers.explicit.base import AbstractExplicit, Tried, slopes_at
+from jaxcrumple.solvers.explicit.stability import Fastest
+from jaxcrumple.state import Slopes, State
+from jaxcrumple.system import force_at_rest
+
+
+class Verlet(AbstractExplicit):
+    """Order 2, one force a step: where stability limits the step, time passes 2.7 times as fast as by
+    `RungeKutta` (a phantom sheet of n = 1000), for forces cost nearly all.
+
+    Drag enters at both ends of the step, implicitly; dashpots and plastic flow with a prediction of velocity
+    and rest curvature. Errors are those of the positions, $\\frac{h^2}{6}(a_1 - a_0)$, which those of the
+    velocities follow, and of p.
+    """
+
+    order: ClassVar[int] = 2
+    error_order: ClassVar[int] = 3
+
+    @staticmethod
+    def stable(motion: Fastest) -> Array:
+        """Largest stable step in s, $\\frac{2}{\\omega}(\\sqrt{1 + \\zeta^2} - \\zeta)$, where $\\zeta$ is
+        the damping ratio of the fastest mode."""
+        ratio = 0.5 * motion.damping / motion.omega
+        return 2.0 / (motion.omega * (jnp.sqrt(1.0 + ratio * ratio) + ratio))
+
+    def step(self, scene: Scene, state: State, h: Array) -> Tried:
+        """A step of `h` s from a state whose slopes are known."""
+        x, v, p, slopes = verlet(scene, state.t, h, state.x, state.v, state.p, state.slopes)
+        by_x = h * h / 6.0 * (slopes.acceleration - state.slopes.acceleration)
+        by_p = None
+        if slopes.flow is not None and state.slopes.flow is not None:
+            by_p = 0.5 * h * (slopes.flow - state.slopes.flow)
+        return Tried(x, v, p, (by_x, None, by_p), slopes)
+
+    @staticmethod
+    def advance(
+        scene: Scene, t: Array, h: Array, x: Array, v: Array, p: Array | None
+    ) -> tuple[Array, Array, Array | None]:
+        """Positions and velocities (n, 3) and p a step of `h` s after time `t`, to be differentiated."""
+        x, v, p, _ = verlet(scene, t, h, x, v, p, slopes_at(scene, x, v, p, t))
+        return x, v, p
+
+
+def verlet(
+    scene: Scene, t: Array, h: Array, x: Array, v: Array, p: Array | None, slopes: Slopes
+) -> tuple[Array, Array, Array | None, Slopes]:
+    """Positions and velocities (n, 3), p and slopes a step of `h` s after time `t`, with `slopes` there."""
+    end, a, supports, flows = t + h, slopes.acceleration, scene.prescribed, scene.plasticity
+    x = x + h * (v + 0.5 * h * a)
+    x = x if supports is None else supports.position(x, end)
+    hinges = scene.bending.hinges(x)
+    c, flow = curvature(hinges.theta), None
+    if p is not None and flows is not None and slopes.flow is not None:
+        p = p + 0.5 * h * (slopes.flow + flows.rate(c, p + h * slopes.flow))
+        flow = flows.rate(c, p)
+    at_rest = force_at_rest(scene, hinges, x, p, end)
+
+    def dashed(v: Array) -> Array:
+        return at_rest if scene.damping is None else at_rest + scene.damping.force(x, v)
+
+    mass = scene.mass[:, None]
+    drag = jnp.zeros(()) if scene.drag is None else (scene.drag.coefficient / scene.mass)[:, None]
+    v = (v + 0.5 * h * (a + dashed(v + h * a) / mass)) / (1.0 + 0.5 * h * drag)
+    v = v if supports is None else supports.velocity(v, end)
+    a = dashed(v) / mass - drag * v
+    a = a if supports is None else supports.acceleration(a, end)
+    return x, v, p, Slopes(a, flow, jnp.asarray(True))

@@ -1,0 +1,147 @@
+"""Variable-step multistep formulas from the step history: BDF, and a two-step family for inertia."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxcrumple.scene import Scene
+from jaxcrumple.state import HISTORY, History, ImplicitStep, Points, implicit_step
+
+
+def _lags(h: Array, steps: Array) -> Array:
+    """Distance (6,) from the new time back to each point of the history."""
+    return h + jnp.concatenate([jnp.zeros(1, steps.dtype), jnp.cumsum(steps[:-1])])
+
+
+def extrapolation(h: Array, steps: Array, points: Array) -> Array:
+    """Weights (6,) of the Lagrange predictor through the newest `points` points, at the new time."""
+    lags = _lags(h, steps)
+    used = jnp.arange(HISTORY) < points
+    ratio = lags[None, :] / jnp.where(jnp.eye(HISTORY, dtype=bool), 1.0, lags[None, :] - lags[:, None])
+    other = used[None, :] & ~jnp.eye(HISTORY, dtype=bool)
+    return jnp.where(used, jnp.prod(jnp.where(other, ratio, 1.0), axis=1), 0.0)
+
+
+def coefficients(h: Array, steps: Array, order: Array) -> tuple[Array, Array]:
+    """BDF coefficients of eq. (39): the derivative at the new time of the interpolant.
+
+    **Arguments:** `h` new step in s; `steps` (6,) past steps; `order` 1 ... 6 (may be traced).
+
+    **Returns:** `alpha` (6,), zero beyond the order, and `beta * h`, such that
+    $\\dot y_{new} = (y_{new} + \\sum_j \\alpha_j y_j)/(\\beta h)$.
+    """
+    lags = _lags(h, steps)
+    used = jnp.arange(HISTORY) < order
+    beta_h = 1.0 / jnp.sum(jnp.where(used, 1.0 / lags, 0.0))
+    return -extrapolation(h, steps, order) / lags * beta_h, beta_h
+
+
+def error_constant(h: Array, steps: Array, order: Array) -> Array:
+    """Local error of BDF `order` as a share of (solution - predictor through order + 1 points).
+
+    Both are the same divided difference of order + 2 points times a known polynomial in the steps:
+    the share is $\\beta h / (t_{new} - t_{order})$, whatever the step ratios.
+    """
+    _, beta_h = coefficients(h, steps, order)
+    return beta_h / _lags(h, steps)[order]
+
+
+# How far the region of instability of BDF 3, 4 and 5 reaches to the left of the imaginary axis, in 1/h.
+REACH = (1.0 / 12.0, 2.0 / 3.0, 2.3272)
+# Room for steps that vary.
+REACH_MARGIN = 1.2
+
+
+def damped_order(h: Array, decay: Array) -> Array:
+    """Largest order of BDF, 2 to 5, that is stable with inertia at steps of `h` s.
+
+    `decay` in 1/s is the rate at which the least damped vibration decays: where drag is proportional to
+    mass, $\\lambda^2 + (b/m) \\lambda + \\omega^2 = 0$, and every complex eigenvalue has the real part -b/2m
+    whatever its frequency. Orders above 2 are unstable on a bounded region about the imaginary axis only,
+    which all modes leave as soon as h b/2m exceeds its reach.
+    """
+    return 2 + jnp.sum(h * decay > REACH_MARGIN * jnp.asarray(REACH))
+
+
+class TwoStep(NamedTuple):
+    """A step of the two-step family for the unknown $Y = \\theta y_{new} + (1 - \\theta) y_0$.
+
+    $\\dot Y = (Y + \\sum_j \\alpha_j y_j)/(\\beta h)$ with `alpha` (6,); `error` is the local error as a
+    share of (solution - predictor through three points, or the Euler step at order 1).
+    """
+
+    alpha: Array
+    beta_h: Array
+    error: Array
+
+
+def two_step(h: Array, steps: Array, order: Array, theta: Array) -> TwoStep:
+    """One-leg method of order 1 or 2, A-stable for theta in [1/2, 1], for stages with inertia.
+
+    The derivative at $t_0 + \\theta h$ of the parabola through the new point and the last two equals the
+    right-hand side at $\\theta y_{new} + (1 - \\theta) y_0$. $\\theta = 1$ is BDF2, 1/2 the implicit
+    midpoint rule; a mode of infinite frequency shrinks by $\\rho_\\infty = (1 - \\theta)/\\theta$ a step. On
+    the imaginary axis the loss is proportional to $\\theta (\\theta - 1/2) (1 - \\cos\\varphi)^2 \\ge 0$.
+    """
+    first, last = steps[0], steps[1]
+    s = theta * h
+    second = order > 1
+    new = jnp.where(second, (2.0 * s + first) / (h * (h + first)), 1.0 / h)
+    now = jnp.where(second, (h - first - 2.0 * s) / (h * first), -1.0 / h)
+    before = jnp.where(second, (2.0 * s - h) / (first * (first + h)), 0.0)
+    beta_h = theta / new
+    alpha = jnp.zeros(HISTORY).at[0].set(beta_h * now - (1.0 - theta)).at[1].set(beta_h * before)
+    # Third divided difference times the defects of the parabola's derivative and of the mean value.
+    slope = 3.0 * s * s + 2.0 * s * (first - h) - h * first
+    defect = slope + 3.0 * theta * (1.0 - theta) * h * h
+    error = jnp.abs(defect) / (new * h * (h + first) * (h + first + last))
+    return TwoStep(alpha, beta_h, jnp.where(second, error, h / (h + first)))
+
+
+class Formula(NamedTuple):
+    """A step's formula: $\\dot Y = (Y + \\sum_j \\alpha_j y_j)/(\\beta h)$ for the unknown
+    $Y = \\theta y_{new} + (1 - \\theta) y_0$.
+
+    `alpha` (6,); `beta_h` in s; `inertia`: 0 or 1, or None for never any; `share`: local error as a share of
+    corrector - predictor.
+    """
+
+    alpha: Array
+    beta_h: Array
+    theta: Array
+    inertia: Array | None
+    share: Array
+
+    def equations(self, scene: Scene, history: Points, t: Array, h: Array) -> ImplicitStep:
+        """What a step of `h` s from time `t` on solves."""
+        when = t + self.theta * h
+        return implicit_step(scene, history, self.alpha, self.beta_h, when, self.inertia)
+
+
+def step_formula(h: Array, steps: Array, order: Array, moves: Array | None, rho_infinity: Array) -> Formula:
+    """Formula of a step of `h` s and of `order` after past `steps` (6,) in s: BDF, or where the step `moves`,
+    with inertia, and is of order 1 or 2, the two-step family; `moves` None: never."""
+    alpha, beta_h = coefficients(h, steps, order)
+    share = error_constant(h, steps, order)
+    if moves is None:
+        return Formula(alpha, beta_h, jnp.ones(()), None, share)
+    theta = jnp.where(moves, 1.0 / (1.0 + rho_infinity), 1.0)
+    two = two_step(h, steps, order, theta)
+    pair = moves & (order <= 2)
+    alpha, beta_h = jnp.where(pair, two.alpha, alpha), jnp.where(pair, two.beta_h, beta_h)
+    share = jnp.where(pair, two.error, share)
+    return Formula(alpha, beta_h, theta, jnp.where(moves, 1.0, 0.0), share)
+
+
+def push(history: History, h: Array, x: Array, v: Array, p: Array | None, order: Array) -> History:
+    """History with a new accepted point in front."""
+
+    def shift(past: Array, new: Array) -> Array:
+        return jnp.concatenate([new[None], past[:-1]])
+
+    past = None if history.p is None or p is None else shift(history.p, p)
+    count = jnp.minimum(history.count + 1, HISTORY)
+    return History(
+        shift(history.x, x), shift(history.v, v), past, shift(history.steps, h), count, order
+    )  # fmt: skip

@@ -1,0 +1,99 @@
+"""The paper's quasistatic step: two BDF solutions, of orders 4 and 3, whose difference is the error."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+
+from jaxcrumple._jax.tree import as_float
+from jaxcrumple.geometry.hinge import curvature
+from jaxcrumple.scene import Scene
+from jaxcrumple.solvers.implicit.base import LOCAL_SHARE, AbstractImplicit, Attempt, aligns, judge, resized
+from jaxcrumple.solvers.implicit.bdf import coefficients, extrapolation
+from jaxcrumple.solvers.implicit.newton import FORCING, NewtonSolution, newton
+from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
+from jaxcrumple.state import ImplicitStep, State, implicit_step
+from jaxcrumple.system import residual
+
+# The paper's orders, and the points of its predictor.
+ORDER, PREDICTOR_POINTS = 4, 4
+
+
+class BDFPair(AbstractImplicit):
+    """The step of order s, 4 once the history is long enough, judged by a second solve of order s - 1
+    (Section 3.2). It has no inertia: snaps are the explicit stage's.
+
+    Fields as in `VariableOrder`.
+    """
+
+    rtol: Array
+    linear: AbstractLinearSolver
+    newton_share: Array = eqx.field(default=0.05, converter=as_float)
+    max_iterations: int = eqx.field(static=True, default=8)
+
+    def predict(self, scene: Scene, state: State, h: Array) -> Array:
+        """Positions (n, 3) after a step of size `h` s as the history tells."""
+        history = state.history
+        points = jnp.clip(history.count, 1, PREDICTOR_POINTS)
+        guess = jnp.tensordot(extrapolation(h, history.steps, points), history.x, 1)
+        return guess if scene.prescribed is None else scene.prescribed.position(guess, state.t + h)
+
+    def differs(self, scene: Scene, state: State, h: Array) -> Array:
+        """Not known: the error is that of another pair of solutions."""
+        return jnp.zeros(())
+
+    def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array) -> Attempt:
+        """Try a step of size `h` s."""
+        history = state.history
+        order = jnp.clip(history.count, 1, ORDER)
+        step = _equations(scene, state, h, order)
+        solution = self._newton(scene, step, self.predict(scene, state, h), factor)
+        x, v = solution.x, step.velocity(solution.x)
+        _, p = residual(scene, step, x)
+        lower = _equations(scene, state, h, jnp.maximum(order - 1, 1))
+        second = self._newton(scene, lower, x, solution.factor)
+        first_step = self._first_error(scene, state, step, x, h, second.factor)
+        error = self._error(scene, state, h, order, (x, p), lower, second, first_step)
+        both = solution._replace(
+            converged=solution.converged & second.converged,
+            indefinite=solution.indefinite | second.indefinite,
+        )
+        cause = judge(scene, state, both, x, state.t + h, error)
+        next_h = resized(h, order, error, cause, jnp.maximum(order - 1, 1))
+        return Attempt(
+            x, v, p, (v - state.v) / h, error, cause, order, next_h, history.order, second.factor, state.kept,
+            solution.iterations + second.iterations, solution.linear + second.linear,
+            solution.factors + second.factors, solution.restored,
+        )  # fmt: skip
+
+    def _newton(self, scene: Scene, step: ImplicitStep, guess: Array, factor: Factor) -> NewtonSolution:
+        tolerance = self.newton_share * LOCAL_SHARE * self.rtol * scene.length_scale
+        yes = jnp.asarray(True)
+        return newton(scene, step, guess, self.linear, factor, tolerance, self.max_iterations, None, yes)
+
+    def _first_error(self, scene: Scene, state: State, step: ImplicitStep, x, h, factor: Factor) -> Array:
+        """Distance from an explicit Euler step, less what decays within the step (the tangent knows)."""
+        euler = 0.5 * (x - state.x - jnp.where(aligns(state), 0.0, h) * state.v)
+        if scene.drag is None:
+            return euler
+        pull = ((scene.drag.coefficient / step.beta_h)[:, None] * euler).reshape(-1)
+        filtered = self.linear.solve(scene.pattern, factor, None, pull, FORCING).x
+        return jnp.where(aligns(state), euler, filtered.reshape(x.shape))
+
+    def _error(self, scene: Scene, state: State, h, order, upper, lower, second, first_step) -> Array:
+        """Difference of the two solutions over the tolerance; at order 1 from an explicit Euler step."""
+        x, p = upper
+        gap = jnp.where(order == 1, first_step, second.x - x)
+        position = jnp.max(jnp.abs(gap)) / scene.length_scale
+        share = self.rtol * jnp.where(aligns(state), 1.0, LOCAL_SHARE)
+        if p is None or state.p is None or scene.plasticity is None:
+            return position / share
+        _, p_lower = residual(scene, lower, second.x)
+        c = curvature(scene.bending.hinges(state.x).theta)
+        flow = 0.5 * (p - state.p - h * scene.plasticity.rate(c, state.p))
+        rest = jnp.where(order == 1, flow, p_lower - p)
+        return jnp.maximum(position, 0.5 * jnp.max(jnp.abs(rest))) / share
+
+
+def _equations(scene: Scene, state: State, h: Array, order: Array) -> ImplicitStep:
+    alpha, beta_h = coefficients(h, state.history.steps, order)
+    return implicit_step(scene, state.history, alpha, beta_h, state.t + h)

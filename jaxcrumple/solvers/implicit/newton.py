@@ -1,0 +1,163 @@
+"""Newton's method on the condensed system (51)."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxcrumple._jax.batched_cond import where_needed
+from jaxcrumple._jax.tree import select
+from jaxcrumple.scene import Scene
+from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
+from jaxcrumple.state import NEVER, ImplicitStep, Linearization
+from jaxcrumple.system import linearize, residual
+
+# An iteration that grows by more than this factor has left the basin of the root.
+DIVERGENCE = 2.0
+# A kept tangent is renewed where so many more iterations with it would not do: it costs as much as these.
+PATIENCE = 4
+# A tangent of an earlier step is kept for so many steps with inertia, while beta h stays within this ratio.
+MOST_STEPS, RATIO = 20, 0.6
+# Forcing term: relative residual to which each linear system is solved. A direct solver meets it with
+# one back substitution; what an iterative one leaves is found by the next iteration.
+FORCING = 1e-3
+
+
+class NewtonSolution(NamedTuple):
+    """Outcome of a Newton iteration.
+
+    `x` (n, 3); `factor` the last tangent's, and `kept`, where that was taken; `iterations`, `linear`
+    iterations and `factors` made; `converged`; `indefinite`: a tangent had a negative eigenvalue, so the
+    equilibrium is unstable; `restored`: nothing but a factor that was not held was made again.
+    """
+
+    x: Array
+    factor: Factor
+    kept: Linearization | None
+    iterations: Array
+    linear: Array
+    factors: Array
+    converged: Array
+    indefinite: Array
+    restored: Array
+
+
+class _Carry(NamedTuple):
+    x: Array
+    factor: Factor
+    kept: Linearization
+    iterations: Array
+    linear: Array
+    factors: Array
+    update: Array
+    renew: Array
+    converged: Array
+    failed: Array
+    indefinite: Array
+
+
+def newton(
+    scene: Scene,
+    step: ImplicitStep,
+    guess: Array,
+    linear: AbstractLinearSolver,
+    factor: Factor,
+    tolerance: Array,
+    max_iterations: int,
+    kept: Linearization | None,
+    held: Array,
+) -> NewtonSolution:
+    """Find x with zero residual, with the exact tangent.
+
+    A solver whose factor solves exactly keeps tangent and factor for as long as they contract, also from one
+    step with inertia to the next: `kept` says where the factor's tangent was taken, and `held` whether the
+    factor is there; where not, it is made again and nothing else. For other solvers every iteration has its
+    own tangent and the first one's preconditioner. Stops when the remaining error, estimated from the
+    contraction of the updates, is below `tolerance` (m, maximum norm), or when the updates grow, or the
+    tangent is indefinite, or after `max_iterations`.
+    """
+    old = Linearization(step, guess, jnp.asarray(NEVER, int)) if kept is None else kept
+    restores = must_restore(old, held)
+    usable = _usable(step, old) if linear.exact and kept is not None else jnp.asarray(False)
+
+    def renewed(carry: _Carry) -> Factor:
+        here = select(restores, (old.step, old.x), (step, carry.x))
+        return linear.factor(scene.pattern, linearize(scene, *here)[1], carry.factor)
+
+    def tangent(carry: _Carry) -> tuple[Array | None, Factor]:
+        if linear.exact:
+            factor = jax.lax.cond(carry.renew, renewed, lambda carry: carry.factor, carry)
+            return None, factor
+        _, values = linearize(scene, step, carry.x)
+        factor = where_needed(carry.renew, linear.factor, carry.factor, scene.pattern, values, carry.factor)
+        return values, factor
+
+    def body(carry: _Carry) -> _Carry:
+        value, _ = residual(scene, step, carry.x)
+        values, factor = tangent(carry)
+        taken = Linearization(step, carry.x, jnp.zeros_like(old.age))
+        kept = select(carry.renew, taken, carry.kept)
+        solution = linear.solve(scene.pattern, factor, values, -value.reshape(-1), FORCING)
+        change = _relaxation(step, kept) * solution.x.reshape(carry.x.shape)
+        update = jnp.max(jnp.abs(change))
+        first = jnp.isinf(carry.update)
+        contraction = jnp.where(first, 1.0, update / carry.update)
+        remaining = jnp.where(contraction < 1, contraction / (1 - contraction) * update, jnp.inf)
+        # Without a contraction rate yet, quadratic convergence is trusted only for tiny updates.
+        converged = (remaining < tolerance) | (update < 0.01 * tolerance)
+        lost = ~jnp.isfinite(update) | (contraction > DIVERGENCE) | solution.indefinite
+        # With the tangent of an earlier step that says nothing yet: start again with this step's own.
+        again = lost & (kept.age > 0)
+        return _Carry(
+            jnp.where(again, guess, carry.x + change),
+            factor,
+            kept,
+            carry.iterations + 1,
+            carry.linear + solution.iterations,
+            carry.factors + carry.renew,
+            jnp.where(again, jnp.inf, update),
+            again | (~first & (remaining * contraction**PATIENCE > tolerance)),
+            converged & ~lost,
+            lost & ~again,
+            solution.indefinite & ~again,
+        )
+
+    def unfinished(carry: _Carry) -> Array:
+        over = carry.converged | carry.failed | (restores & (carry.iterations > 0))
+        return ~over & (carry.iterations < max_iterations)
+
+    zero, no = jnp.asarray(0), jnp.asarray(False)
+    first = eqx.tree_at(lambda k: k.age, old, jnp.where(usable, old.age + 1, NEVER))
+    start = _Carry(
+        guess, factor, first, zero, zero, zero, jnp.asarray(jnp.inf), ~usable | restores, no, no, no
+    )
+    end = jax.lax.while_loop(unfinished, body, start)
+    age = jnp.where(end.converged, end.kept.age, NEVER)
+    last = None
+    if kept is not None:
+        last = select(restores, kept, eqx.tree_at(lambda k: k.age, end.kept, age))
+    return NewtonSolution(
+        end.x, end.factor, last, end.iterations, end.linear, end.factors, end.converged & ~restores,
+        end.indefinite, restores,
+    )  # fmt: skip
+
+
+def must_restore(kept: Linearization, held: Array) -> Array:
+    """Whether the factor of the last tangent is wanted but not `held`."""
+    return (kept.age < NEVER) & ~held
+
+
+def _usable(step: ImplicitStep, kept: Linearization) -> Array:
+    """Whether the tangent of an earlier step may do for this one."""
+    ratio = step.beta_h / kept.step.beta_h
+    alike = (ratio > RATIO) & (ratio * RATIO < 1.0)
+    return alike & (kept.age < MOST_STEPS) & (step.inertia * kept.step.inertia > 0)
+
+
+def _relaxation(step: ImplicitStep, kept: Linearization) -> Array:
+    """Factor of a change found with the tangent of another step, whose inertia has another weight: the
+    one that leaves least of both what inertia and what stiffness dominates."""
+    weight = (kept.step.beta_h / step.beta_h) ** 2
+    return 2.0 / (1.0 + weight)

@@ -1,0 +1,256 @@
+"""The implicit stages by one solve a step: BDF of order 1 to 5, with inertia where drag makes it stable."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+
+from jaxcrumple._jax.batched_cond import where_needed
+from jaxcrumple._jax.tree import as_float, select
+from jaxcrumple.assembly.sparsity import Pattern
+from jaxcrumple.geometry.hinge import curvature
+from jaxcrumple.scene import Scene
+from jaxcrumple.solvers.implicit.base import (
+    LOCAL_SHARE,
+    AbstractImplicit,
+    Attempt,
+    aligns,
+    judge,
+    resized,
+)
+from jaxcrumple.solvers.implicit.bdf import damped_order, error_constant, extrapolation, step_formula
+from jaxcrumple.solvers.implicit.newton import FORCING, newton
+from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
+from jaxcrumple.state import CAUSES, IMPLICIT, ImplicitStep, State
+from jaxcrumple.system import residual
+
+# A change of order must promise a step longer by this factor.
+ORDER_GAIN = 1.1
+# From the largest component of a difference to its length.
+DIAGONAL = 3.0**0.5
+# Newton's iterate comes from an extrapolation, and what is left of the way from there feeds energy in. With
+# rho_infinity > 0, whose formula loses little of it or none, Newton's error is this much smaller.
+CONSERVING = 1e-3
+# Steps with inertia whose errors may add up before each must leave less, and the most that are allowed for.
+REMEMBERED, MOST_REMEMBERED = 500.0, 1e4
+# Local error in contact ranges that a step may leave at most: contact grows e-fold within a few hundredths,
+# so that from a worse prediction Newton's iteration does not converge.
+CONTACT_SHARE = 0.01
+
+
+class VariableOrder(AbstractImplicit):
+    """Predictor, corrector and their difference as the error estimate.
+
+    The order is the one, up to `max_order`, that promises the longest step. Steps with inertia use the
+    two-step family of `two_step`, and BDF 3 to 5 where the step is long enough for drag to make them
+    stable (`damped_order`).
+
+    - `rtol`: tolerance on the local error in maximum norm: positions over $\\sqrt A$, p over 2.
+    - `linear`: the linear solver.
+    - `rho_infinity`: what a step with inertia leaves of a mode of infinite frequency, 0 (BDF2) to 1
+      (the midpoint rule, which leaves all). Above 0 Newton's error is CONSERVING times smaller, for it would
+      feed in more energy than the formula loses.
+    - `inertial_share`: share of `rtol` that the local error of a step with inertia may use; less where
+      drag forgets so slowly that more than `REMEMBERED` steps add up.
+    - `newton_share`: Newton's error as a share of what a step may leave.
+    - `max_iterations`: Newton iterations before a step is rejected.
+    - `inertia`: whether any stage has inertia; without it nothing is compiled for it.
+    """
+
+    rtol: Array
+    linear: AbstractLinearSolver
+    rho_infinity: Array = eqx.field(default=0.0, converter=as_float)
+    inertial_share: Array = eqx.field(default=LOCAL_SHARE, converter=as_float)
+    newton_share: Array = eqx.field(default=0.03, converter=as_float)
+    inertia: bool = eqx.field(static=True, default=True)
+    max_order: int = eqx.field(static=True, default=5)
+    max_iterations: int = eqx.field(static=True, default=8)
+
+    def equations(self, scene: Scene, state: State, h: Array) -> tuple[ImplicitStep, Array]:
+        """What a step of size `h` s from a state solves, and the positions (n, 3) its Newton starts from."""
+        formula = self._formula(scene, state, h)
+        return formula.step, _start(formula, state, _predicted(scene, state, h, formula.orders.used))
+
+    def predict(self, scene: Scene, state: State, h: Array) -> Array:
+        """Positions (n, 3) after a step of size `h` s as the history tells."""
+        return _predicted(scene, state, h, self._orders(scene, state, h).used)
+
+    def differs(self, scene: Scene, state: State, h: Array) -> Array:
+        """How far in m a node may be from `predict` after a step whose error is tolerated."""
+        share = self._formula(scene, state, h).share
+        return DIAGONAL * self._allowed(scene, state, h) / share * scene.length_scale
+
+    def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array) -> Attempt:
+        """Try a step of size `h` s in the state's stage."""
+        formula = self._formula(scene, state, h)
+        theta, step, order = formula.theta, formula.step, formula.orders.used
+        predicted = _predicted(scene, state, h, order)
+        guess = _start(formula, state, predicted)
+        tolerance = self._newton_share(state) * self._allowed(scene, state, h) * scene.length_scale
+        kept = state.kept if self.inertia else None
+        solution = newton(scene, step, guess, self.linear, factor, tolerance, self.max_iterations, kept, held)
+        mean_v = step.velocity(solution.x)
+        _, mean_p = residual(scene, step, solution.x)
+        x, v = _whole(theta, solution.x, state.x), _whole(theta, mean_v, state.v)
+        p = None if mean_p is None or state.p is None else _whole(theta, mean_p, state.p)
+        change = self._filtered(scene, state, step, x - predicted, solution.factor)
+        errors = self._errors(scene, state, h, formula, x, p, change)
+        cause = judge(scene, state, solution, x, state.t + h, errors[1])
+        next_h, next_order = self._next(h, order, errors, cause)
+        acceleration = jnp.where(state.stage == IMPLICIT, step.acceleration(mean_v), (v - state.v) / h)
+        return Attempt(
+            x, v, p, acceleration, errors[1], cause, order, next_h, next_order,
+            solution.factor, solution.kept or state.kept, solution.iterations, solution.linear,
+            solution.factors, solution.restored,
+        )  # fmt: skip
+
+    def _newton_share(self, state: State) -> Array:
+        """`newton_share`, less where the formula is to conserve energy."""
+        if not self.inertia:
+            return self.newton_share
+        conserves = (state.stage == IMPLICIT) & (self.rho_infinity > 0)
+        return jnp.where(conserves, CONSERVING * self.newton_share, self.newton_share)
+
+    def _formula(self, scene: Scene, state: State, h: Array) -> "_Formula":
+        orders = self._orders(scene, state, h)
+        moves = state.stage == IMPLICIT if self.inertia else None
+        formula = step_formula(h, state.history.steps, orders.used, moves, self.rho_infinity)
+        step = formula.equations(scene, state.history, state.t, h)
+        return _Formula(step, formula.theta, orders, formula.share)
+
+    def _orders(self, scene: Scene, state: State, h: Array) -> "_Orders":
+        history = state.history
+        highest = jnp.asarray(self.max_order)
+        orders = _Orders(jnp.asarray(1), jnp.clip(history.order, 1, highest), highest)
+        if not self.inertia:
+            return orders
+        stable = self._stable_order(scene, h)
+        # With inertia the error estimate needs a third point, and order 2 the velocity at the second.
+        used = jnp.where(history.count > 2, jnp.clip(history.order, 2, stable), 1)
+        moves = state.stage == IMPLICIT
+        inertial = _Orders(jnp.asarray(2), used, stable)
+        return select(moves, inertial, orders)
+
+    def _stable_order(self, scene: Scene, h: Array) -> Array:
+        """Largest order of a step with inertia, 2 at least."""
+        if scene.drag is None:
+            return jnp.asarray(2)
+        decay = 0.5 * jnp.min(scene.drag.coefficient / scene.mass)
+        largest = jnp.where(self.rho_infinity > 0, 2, max(self.max_order, 2))
+        return jnp.minimum(damped_order(h, decay), largest)
+
+    def _filtered(self, scene: Scene, state: State, step: ImplicitStep, change: Array, factor) -> Array:
+        """Corrector minus predictor; of a first quasistatic step what the formula does not damp.
+
+        Its predictor is an explicit Euler step, which overshoots what decays within the step; the
+        tangent filters that out.
+        """
+        if scene.drag is None:
+            return change
+        pull = (scene.drag.coefficient / step.beta_h)[:, None] * change
+        first = (state.stage != IMPLICIT) & (state.history.count == 1)
+
+        def solve(pattern: Pattern, factor: Factor, pull: Array) -> Array:
+            solution = self.linear.solve(pattern, factor, None, pull.reshape(-1), FORCING)
+            return solution.x.reshape(pull.shape)
+
+        return where_needed(first, solve, change, scene.pattern, factor, pull)
+
+    def _errors(self, scene: Scene, state: State, h, formula: "_Formula", x, p, change) -> Array:
+        """Local errors (3,) of the orders below, at and above the step's, in units of the tolerance."""
+        history, orders = state.history, formula.orders
+        order = orders.used
+        starts = history.count <= 1
+        here = _size(scene, change, None)
+        if p is not None and scene.plasticity is not None and state.p is not None:
+            gap = _gap(p, history.p, extrapolation(h, history.steps, order + 1))
+            flow = scene.plasticity.rate(curvature(scene.bending.hinges(state.x).theta), state.p)
+            gap = jnp.where(starts, p - state.p - h * flow, gap)
+            here = jnp.maximum(here, 0.5 * jnp.max(jnp.abs(gap)))
+        # A start compares with an Euler step, whose error is the formula's reversed; the step that
+        # aligns the velocity has nothing to compare with, and may move by the whole tolerance.
+        share = jnp.where(starts, 0.5, formula.share)
+        allowed = jnp.where(aligns(state), self.rtol, self._allowed(scene, state, h))
+        errors = [jnp.asarray(jnp.inf), share * here / allowed, jnp.asarray(jnp.inf)]
+        for place, other in ((0, order - 1), (2, order + 1)):
+            known = (other >= orders.lowest) & (other < history.count) & (other <= orders.highest)
+            used = jnp.clip(other, 1, self.max_order)
+            weights = extrapolation(h, history.steps, used + 1)
+            p_gap = None if p is None else _gap(p, history.p, weights)
+            size = _size(scene, _gap(x, history.x, weights), p_gap)
+            size = error_constant(h, history.steps, used) * size
+            errors[place] = jnp.where(known, size / allowed, jnp.inf)
+        return jnp.stack(errors)
+
+    def _allowed(self, scene: Scene, state: State, h: Array) -> Array:
+        """Local error, relative to the scales, that a step of `h` s may leave."""
+        share = self.inertial_share * _remembered(scene, h)
+        allowed = self.rtol * jnp.where(state.stage == IMPLICIT, share, LOCAL_SHARE)
+        if scene.contact is None:
+            return allowed
+        return jnp.minimum(allowed, CONTACT_SHARE * scene.contact.range / scene.length_scale)
+
+    def _next(self, h, order, errors, cause) -> tuple[Array, Array]:
+        """Step and order to take next: those that promise the longest step."""
+        orders = order + jnp.arange(-1, 2)
+        reach = jnp.maximum(errors, 1e-10) ** (-1.0 / (orders + 1))
+        best = jnp.argmax(reach * jnp.asarray([1.0, ORDER_GAIN, 1.0]))
+        best = jnp.where((cause < 0) | (cause == CAUSES.index("error")), best, 1)
+        return resized(h, orders[best], errors[best], cause), orders[best]
+
+
+class _Orders(NamedTuple):
+    """The order that a step has, and between which ones that of the next may be chosen."""
+
+    lowest: Array
+    used: Array
+    highest: Array
+
+
+class _Formula(NamedTuple):
+    """A step's equations, its theta, its orders, and the error's share of corrector - predictor."""
+
+    step: ImplicitStep
+    theta: Array
+    orders: _Orders
+    share: Array
+
+
+def _remembered(scene: Scene, h: Array) -> Array:
+    """Factor of a step's share of the tolerance where drag lets more than `REMEMBERED` steps of `h` add up.
+
+    A wave decays with exp(-b t / 2m), and what the steps left in it with it.
+    """
+    steps = 2.0 * scene.inertial_time / h
+    return jnp.clip(REMEMBERED / steps, REMEMBERED / MOST_REMEMBERED, 1.0)
+
+
+def _predicted(scene: Scene, state: State, h: Array, order: Array) -> Array:
+    """Positions (n, 3) from the history alone, or by the velocity when there is one point only."""
+    history = state.history
+    predicted = jnp.tensordot(extrapolation(h, history.steps, order + 1), history.x, 1)
+    euler = state.x + jnp.where(aligns(state), 0.0, h) * state.v
+    predicted = jnp.where(history.count <= 1, euler, predicted)
+    return predicted if scene.prescribed is None else scene.prescribed.position(predicted, state.t + h)
+
+
+def _start(formula: _Formula, state: State, predicted: Array) -> Array:
+    """The point at which the equations hold, as predicted."""
+    return formula.theta * predicted + (1.0 - formula.theta) * state.x
+
+
+def _whole(theta: Array, mean: Array, old: Array) -> Array:
+    """New value from the weighted mean of new and old."""
+    return old + (mean - old) / theta
+
+
+def _gap(new: Array, past: Array | None, weights: Array) -> Array:
+    """Difference of a new value from the one that `weights` (6,) predict from the past."""
+    assert past is not None
+    return new - jnp.tensordot(weights, past, 1)
+
+
+def _size(scene: Scene, x: Array, p: Array | None) -> Array:
+    size = jnp.max(jnp.abs(x)) / scene.length_scale
+    return size if p is None else jnp.maximum(size, 0.5 * jnp.max(jnp.abs(p)))

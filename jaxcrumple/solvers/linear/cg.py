@@ -1,0 +1,60 @@
+"""Preconditioned conjugate gradients: the one Krylov loop of all linear solvers."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxcrumple.solvers.linear.base import Factor, Solution
+
+
+class _Carry(NamedTuple):
+    x: Array
+    r: Array
+    d: Array
+    rz: Array
+    positive: Array
+    iterations: Array
+
+
+def conjugate_gradients(
+    product: Callable[[Array], Array],
+    precondition: Callable[[Array], Array],
+    factor: Factor,
+    rhs: Array,
+    rtol: Array | float,
+    max_iterations: int,
+) -> Solution:
+    """Solve A x = `rhs` (m,) until $\\|r\\|_2 \\le$ `rtol` $\\|b\\|_2$ (Saad, Iterative Methods, alg. 9.1).
+
+    `precondition` is applied once per iteration and not at all after the last: an exact one costs one
+    application and one product. A right-hand side that is not finite gives NaN. At a direction without
+    positive curvature the iteration stops and the matrix is called indefinite; where the `factor` has
+    negative eigenvalues it never starts, and x = 0.
+    """
+    known = factor.negative > 0
+    rhs = jnp.where(known, 0.0, rhs)
+    goal = rtol * jnp.linalg.norm(rhs)
+
+    def body(carry: _Carry) -> _Carry:
+        z = precondition(carry.r)
+        rz = carry.r @ z
+        d = jnp.where(carry.iterations == 0, z, z + (rz / carry.rz) * carry.d)
+        image = product(d)
+        bend = d @ image
+        positive = (bend > 0) & (rz > 0)
+        step = jnp.where(positive, rz / bend, 0.0)
+        return _Carry(carry.x + step * d, carry.r - step * image, d, rz, positive, carry.iterations + 1)
+
+    def unfinished(carry: _Carry) -> Array:
+        far = jnp.linalg.norm(carry.r) > goal
+        return carry.positive & far & (carry.iterations < max_iterations)
+
+    zero = jnp.zeros_like(rhs)
+    init = _Carry(zero, rhs, zero, jnp.ones((), rhs.dtype), jnp.asarray(True), jnp.asarray(0))
+    end = jax.lax.while_loop(unfinished, body, init)
+    # The loop never starts on a right-hand side that is not finite: say so instead of zero.
+    x = jnp.where(jnp.isfinite(goal), end.x, jnp.nan)
+    return Solution(x, end.iterations, ~end.positive | known)

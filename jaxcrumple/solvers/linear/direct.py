@@ -1,0 +1,186 @@
+"""Sparse direct solver: $L D L^T$ by oneMKL PARDISO inside jit, with the inertia of the matrix."""
+
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxcrumple._jax.door import own_modes
+from jaxcrumple.assembly.sparsity import Pattern
+from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor, Solution, identity_values
+from jaxcrumple.solvers.linear.cg import conjugate_gradients
+
+# Rounds of iterative refinement of a solution that nobody checks by conjugate gradients.
+REFINEMENTS = 2
+
+
+class _Workspace(NamedTuple):
+    """The library's handle of a factor, and the matrix it is of."""
+
+    token: Array
+    matrix: Array
+
+
+class Direct(AbstractLinearSolver):
+    """One symbolic analysis per program call, one numeric factor per tangent, many solves.
+
+    The symmetric indefinite mode is used even where a positive definite matrix is expected: it never
+    raises out of the program, and the number of negative eigenvalues it reports is an exact test of
+    the equilibrium's stability. A factor that fell out of the library's cache is rebuilt silently.
+
+    Many right-hand sides may be batched by `vmap`, and are solved at once; matrices cannot, for a factor
+    lives outside the arrays. Use `TwoLevel` there.
+
+    **Arguments:** `max_iterations`: conjugate gradient iterations with a factor of other values.
+    """
+
+    exact: ClassVar[bool] = True
+    one_matrix: ClassVar[bool] = True
+    max_iterations: int = 200
+
+    def start(self, pattern: Pattern) -> Factor:
+        """Analyse the pattern (nested dissection)."""
+        from pardiso_mkl_jax import primitive
+
+        values = _unbatched(identity_values(pattern))
+        indptr, indices, matrix = _matrix(pattern, values)
+        token, _ = primitive.analyze(indptr, indices, matrix, **_mode())
+        return Factor(values, _Workspace(token, matrix), jnp.asarray(0))
+
+    def factor(self, pattern: Pattern, values: Array, previous: Factor) -> Factor:
+        """Factor new values; values that are not finite are replaced by the identity and reported."""
+        from pardiso_mkl_jax import primitive
+
+        values = _unbatched(values)
+        finite = jnp.all(jnp.isfinite(values))
+        safe = jnp.where(finite, values, identity_values(pattern))
+        indptr, indices, matrix = _matrix(pattern, safe)
+        token, report = primitive.factor(previous.workspace.token, indptr, indices, matrix, **_mode())
+        # report[22] is PARDISO's count of negative eigenvalues (iparm(23)).
+        negative = jnp.where(finite, report[22], 1).astype(int)
+        return Factor(safe, _Workspace(token, matrix), negative)
+
+    def solve(
+        self, pattern: Pattern, factor: Factor, values: Array | None, rhs: Array, rtol: Array | float
+    ) -> Solution:
+        """One back substitution for the factor's own values; for others conjugate gradients with it."""
+        if values is None:
+            return Solution(_substitute(pattern, factor, rhs), jnp.asarray(1), factor.negative > 0)
+        return conjugate_gradients(
+            lambda d: pattern.product(values, d),
+            lambda r: _substitute(pattern, factor, r),
+            factor,
+            rhs,
+            rtol,
+            self.max_iterations,
+        )
+
+    def solve_factored(self, pattern: Pattern, factor: Factor, rhs: Array, rtol: Array | float) -> Array:
+        """Solution (3n,) for the factor's own values, definite or not, refined to rounding."""
+        x = jnp.zeros_like(rhs)
+        for _ in range(REFINEMENTS + 1):
+            x = x + _substitute(pattern, factor, rhs - pattern.product(factor.values, x))
+        return x
+
+    def solve_once(
+        self, pattern: Pattern, start: Factor, values: Array, rhs: Array, rtol: Array | float
+    ) -> Array:
+        """Factor and solution in one call, refined to rounding, with the analysis of `start`."""
+        from pardiso_mkl_jax import primitive
+
+        values = _unbatched(values)
+        safe = jnp.where(jnp.all(jnp.isfinite(values)), values, identity_values(pattern))
+        return _batched(
+            primitive.factor_and_solve_stateful,
+            start.workspace.token,
+            *_matrix(pattern, safe),
+            rhs,
+            refinements=REFINEMENTS,
+        )
+
+    def release(self, factor: Factor, after: Array) -> None:
+        """Free the factor; the library would keep those of the last calls."""
+        from pardiso_mkl_jax import primitive
+
+        primitive.release(factor.workspace.token, after.astype(float))
+
+
+def _substitute(pattern: Pattern, factor: Factor, rhs: Array) -> Array:
+    """Forward and back substitution."""
+    from pardiso_mkl_jax import primitive
+
+    token, matrix = factor.workspace
+    return _batched(primitive.solve_stateful, token, *_structure(pattern), matrix, rhs)
+
+
+def _batched(
+    routine: Callable, token: Any, indptr: Array, indices: Array, matrix: Array, rhs: Array, **options
+) -> Array:
+    """What a routine of the library finds for one right-hand side, or under `vmap` for many at once."""
+
+    def found(token: Any, indptr: Array, indices: Array, matrix: Array, rhs: Array) -> Array:
+        return routine(token, indptr, indices, matrix, _unbatched(rhs), **_mode(**options))[0]
+
+    @jax.custom_batching.custom_vmap
+    def one(token: Any, indptr: Array, indices: Array, matrix: Array, rhs: Array) -> Array:
+        return found(token, indptr, indices, matrix, rhs[None])[0]
+
+    @one.def_vmap
+    @own_modes()
+    def many(
+        axis_size: int, in_batched, token: Any, indptr: Array, indices: Array, matrix: Array, rhs: Array
+    ):
+        if any(jax.tree.leaves(in_batched[:-1])):
+            _refuse(axis_size, in_batched, rhs)
+        return found(token, indptr, indices, matrix, rhs), True
+
+    return one(token, indptr, indices, matrix, rhs)
+
+
+def _structure(pattern: Pattern) -> tuple[Array, Array]:
+    """Row pointers and column indices of the upper triangle, contact included."""
+    if pattern.contact is None:
+        return pattern.indptr, pattern.indices
+    merged = pattern.contact.merged
+    if merged is None:
+        raise ValueError(
+            "the direct solver needs the lists of contact: scene = jaxcrumple.with_contacts(scene, x) makes "
+            "them."
+        )
+    return merged.indptr, merged.indices
+
+
+def _matrix(pattern: Pattern, values: Array) -> tuple[Array, Array, Array]:
+    """Row pointers, column indices and values of the upper triangle, contact included."""
+    indptr, indices = _structure(pattern)
+    if pattern.contact is None:
+        return indptr, indices, values
+    return indptr, indices, pattern.contact.merge(values[: pattern.nnz], values[pattern.nnz :])
+
+
+@jax.custom_batching.custom_vmap
+def _unbatched(array: Array) -> Array:
+    """The array itself, outside of `vmap`."""
+    return array
+
+
+@_unbatched.def_vmap
+def _refuse(axis_size: int, in_batched, array: Array):
+    raise ValueError(
+        f"the direct solver cannot be batched by vmap (here over {axis_size} lanes): its factors live "
+        "outside the arrays. Choose linear='two-level'."
+    )
+
+
+def _mode(refinements: int = 0) -> dict[str, Any]:
+    """Kind of matrix and options of all calls.
+
+    Pivots are single numbers, which the matrices of a stable sheet need no more than; and what refinement a
+    solution needs is done by who asks for it. Both together save a third of the time.
+    """
+    from pardiso_mkl_jax import MatrixType, PardisoOption
+
+    options = {PardisoOption.PIVOTING_STRATEGY: 0, PardisoOption.MAX_ITERATIVE_REFINEMENT_STEPS: refinements}
+    return {"matrix_type": MatrixType.REAL_SYMMETRIC_INDEFINITE, "options": options}

@@ -1,0 +1,158 @@
+"""Handing over from one stage to another: when a step asks for it, and what the next stage starts with."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxcrumple._jax.tree import select
+from jaxcrumple.scene import Scene
+from jaxcrumple.solvers.log import AFTER, BEFORE, Log, Row, append
+from jaxcrumple.solvers.scheme import Integrator
+from jaxcrumple.solvers.switch import has_settled, wants_inertia
+from jaxcrumple.state import (
+    CAUSES,
+    EXPLICIT,
+    IMPLICIT,
+    NEVER,
+    QUASISTATIC,
+    State,
+    fresh_monitor,
+    no_work,
+    restart_history,
+)
+from jaxcrumple.system import energies
+
+# A quasistatic step below this share of the explicit stability limit hands over: to integrate the
+# motion is cheaper then. Not 1, because a start at low order may need a few steps that short.
+COLLAPSE = 0.05
+# An equilibrium that even steps of this share of m/b_iso cannot follow is lost: inertia takes over. Larger
+# values hand over earlier than the accelerations ask for, and the answer then differs by more than rtol.
+LOST = 0.02
+# An implicit step costs as much as this many explicit ones; one that is not longer gives way to them.
+BREAK_EVEN = 10
+# Explicit steps, in stability limits, before the implicit stage is tried again: twice as many after each try
+# that ended within so few steps, up to so many times.
+SPELL, FUTILE, PATIENCE = 200, 10, 2
+
+
+class Handover(NamedTuple):
+    """The `stage` that the next step belongs to, and, if that is a new one, the size `h` of it in s."""
+
+    stage: Array
+    h: Array
+
+    def when(self, wanted: Array, stage: int, h: Array) -> "Handover":
+        """This one, or that to `stage` if it is `wanted`."""
+        return Handover(jnp.where(wanted, stage, self.stage), jnp.where(wanted, h, self.h))
+
+
+def stay(state: State) -> Handover:
+    """No change of stage."""
+    return Handover(state.stage, state.h)
+
+
+def after_implicit(
+    scene: Scene, state: State, accepted: Array, cause: Array, solver: Integrator, bounded: Array
+) -> Handover:
+    """Whether the stage of an implicit step, that led to `state` or was rejected for `cause`, cannot or need
+    not go on; `bounded`: contact allowed no longer step."""
+    quasistatic, inertial = state.stage == QUASISTATIC, state.stage == IMPLICIT
+    limit, rejected, handover = solver.limit(scene, state), ~accepted, stay(state)
+    short = state.h < COLLAPSE * limit
+    asked = quasistatic & accepted & wants_inertia(scene, state.monitor, solver.switch)
+    h_explicit = solver.explicit.safety * limit if solver.explicit is not None else limit
+    if solver.has(IMPLICIT):
+        lost = rejected & (cause != CAUSES.index("error")) & (state.h < LOST * scene.inertial_time)
+        handover = handover.when(quasistatic & (asked | lost | (rejected & short)), IMPLICIT, state.h)
+        if solver.has(QUASISTATIC):
+            down = inertial & accepted & has_settled(scene, state.monitor, solver.switch)
+            handover = handover.when(down, QUASISTATIC, state.h)
+        if solver.has(EXPLICIT):
+            brief = inertial & (rejected | bounded) & (state.h < BREAK_EVEN * limit)
+            handover = handover.when(brief, EXPLICIT, h_explicit)
+    elif solver.has(EXPLICIT):
+        handover = handover.when(asked | (rejected & short), EXPLICIT, h_explicit)
+    return handover
+
+
+def after_explicit(scene: Scene, state: State, accepted: Array, cap: Array, solver: Integrator) -> Handover:
+    """Whether an explicit stage, whose steps are at most `cap` s long, need not go on after a step."""
+    if solver.has(IMPLICIT):
+        spell = SPELL * 2 ** jnp.minimum(state.monitor.futile, PATIENCE)
+        over = accepted & (state.monitor.since > spell * cap)
+        return stay(state).when(over, IMPLICIT, BREAK_EVEN * cap)
+    if solver.has(QUASISTATIC):
+        settled = accepted & has_settled(scene, state.monitor, solver.switch)
+        return stay(state).when(settled, QUASISTATIC, solver.restart_steps * cap)
+    return stay(state)
+
+
+def handed_over(scene: Scene, state: State, log: Log, handover: Handover) -> tuple[State, Log]:
+    """The state in its new stage, if that is another one, and both sides of the change in the log."""
+
+    def change() -> tuple[State, Log]:
+        last = row(scene, state, BEFORE, handover.h, 0, 0.0)
+        changed = _changed(state, handover)
+        # Nodes stay where they are, and so do energies.
+        monitor = changed.monitor
+        first = last._replace(
+            kind=AFTER,
+            stage=changed.stage,
+            acceleration=monitor.ratios[0],
+            acceleration_mean=jnp.mean(monitor.ratios),
+        )
+        return changed, append(append(log, last), first)
+
+    return jax.lax.cond(handover.stage != state.stage, change, lambda: (state, log))
+
+
+def _changed(state: State, handover: Handover) -> State:
+    """The state at the start of a stage. Implicit stages share their history; an explicit one ends it."""
+    explicit = handover.stage == EXPLICIT
+    # Points made with inertia and without bear order 2 together, no more to begin with.
+    kept = eqx.tree_at(lambda y: y.order, state.history, jnp.minimum(state.history.order, 2))
+    fresh = restart_history(state.x, state.v, state.p)
+    ended = select(explicit, state.history, kept)
+    history = select(state.stage == EXPLICIT, fresh, ended)
+    monitor = state.monitor
+    tried = jnp.where(monitor.steps < FUTILE, monitor.futile + 1, 0)
+    futile = jnp.where(state.stage == EXPLICIT, monitor.futile, tried)
+    return eqx.tree_at(
+        lambda s: (
+            s.stage,
+            s.slopes.known,
+            s.h,
+            s.h_explicit,
+            s.history,
+            s.monitor,
+            s.counters.switches,
+            s.kept.age,
+        ),
+        state,
+        (
+            handover.stage,
+            jnp.asarray(False),
+            jnp.where(explicit, state.h, handover.h),
+            jnp.where(explicit, handover.h, state.h_explicit),
+            history,
+            fresh_monitor(monitor.ratios.shape[0], futile),
+            state.counters.switches + 1,
+            jnp.asarray(NEVER, int),
+        ),
+    )
+
+
+def row(scene: Scene, state: State, kind: int, h, order, error) -> Row:
+    """The line of the log about a state."""
+    parts = energies(scene, state.x, state.v, state.p, state.t)
+    monitor, count = state.monitor, state.counters
+    steps = (count.steps[QUASISTATIC], count.steps[IMPLICIT], count.steps[EXPLICIT])
+    work = no_work() if state.work is None else state.work
+    return Row(
+        kind, state.t, state.stage, h, monitor.ratios[0], jnp.mean(monitor.ratios), *parts,
+        order, error, count.newton, count.linear, count.factors, *steps, jnp.sum(count.rejected),
+        *work,
+    )  # fmt: skip

@@ -1,0 +1,165 @@
+"""Refuse starts from which no run can proceed: what overlaps, and what has no finite force."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jaxcrumple.contact.energy import Contact
+from jaxcrumple.contact.host_broad_phase import Search
+from jaxcrumple.geometry.intersections import intersections
+from jaxcrumple.model.bending import FOLD_STOP
+from jaxcrumple.scene import Scene
+from jaxcrumple.state import State
+
+# Layers that start closer than this many ranges lie in one another.
+CLOSEST = 1e-6
+# Distance of two triangles that is zero but for rounding, in ranges and in units in the last place of the
+# sheet's largest coordinate.
+ROUNDING, PLACES = 1e-12, 16
+# Smallest height of a triangle in units of its longest edge, as for a mesh.
+LEAST_HEIGHT = 1e-6
+# Angle in rad that a hinge must keep from 180 degrees: nearer to it, the fold stop's stiffness, which grows
+# as the third power of its inverse, exceeds that of the hinge by more than float64 resolves.
+LEAST_OPENING = float(np.pi - FOLD_STOP) * np.finfo(float).eps ** (1.0 / 3.0)
+
+
+def pierced(scene: Scene, x: ArrayLike) -> np.ndarray:
+    """Edges and triangles of a self-avoiding scene that intersect at positions `x` (n, 3), as their nodes
+    (k, 5)."""
+    assert scene.contact is not None
+    faces, edges = np.asarray(scene.contact.faces), np.asarray(scene.membrane.nodes)
+    pairs = intersections(x, faces, edges)
+    return np.concatenate([edges[pairs[:, 0]], faces[pairs[:, 1]]], axis=1)
+
+
+def check_start(scene: Scene, state: State) -> None:
+    """Refuse a sheet that is behind or on a wall, has an edge without length, a triangle without area or a
+    hinge at 180 degrees, or, in a scene with contact, passes through itself. Nothing is compiled.
+
+    **Raises:** ValueError that names a node, an edge, a hinge, or an edge and a triangle.
+    """
+    x = np.asarray(state.x)
+    _check_walls(scene, state)
+    _check_edges(scene, x)
+    if scene.contact is not None:
+        _check_piercing(scene, x)
+    _check_hinges(scene, x)
+
+
+def _check_walls(scene: Scene, state: State) -> None:
+    for index, wall in enumerate(scene.walls):
+        gap, name = np.asarray(wall.gap(state.x, state.t)), f"wall {index} ({type(wall.shape).__name__})"
+        if np.any(np.isnan(gap)):
+            node = int(np.argmax(np.isnan(gap)))
+            raise ValueError(
+                f"the gap between node {node} and {name} is NaN at t = {float(state.t):g} s; give the wall "
+                "finite numbers and a motion that is finite from there on."
+            )
+        node = int(np.argmin(gap))
+        if gap[node] < 0:
+            raise ValueError(
+                f"node {node} starts {-gap[node]:.3g} m behind {name}; move the sheet or the wall."
+            )
+        if gap[node] == 0:
+            raise ValueError(
+                f"node {node} starts on {name}, where the wall's force is infinite; move the sheet or the "
+                f"wall, by its range of {float(wall.range):.3g} m for a start without force."
+            )
+
+
+def _check_edges(scene: Scene, x: np.ndarray) -> None:
+    edges = np.asarray(scene.membrane.nodes)
+    bad = np.flatnonzero(np.all(x[edges[:, 0]] == x[edges[:, 1]], axis=1))
+    if bad.size:
+        raise ValueError(
+            f"edge {_ids(edges[bad[0]])} starts without length, so its force has no direction; move its "
+            "nodes apart."
+        )
+
+
+def _check_piercing(scene: Scene, x: np.ndarray) -> None:
+    found = pierced(scene, x)
+    if len(found):
+        a, b, *face = found[0].tolist()
+        raise ValueError(
+            f"the sheet starts passing through itself at {len(found)} places: edge ({a}, {b}) pierces "
+            f"triangle {tuple(face)}; start from positions without intersections, or leave contact out."
+        )
+
+
+def _check_hinges(scene: Scene, x: np.ndarray) -> None:
+    """Refuse hinges at 180 degrees, and triangles without area, at which a hinge has no angle."""
+    nodes = np.asarray(scene.bending.nodes)
+    corners = [x[nodes[:, k]] for k in range(4)]
+    edge, one, two = (corner - corners[0] for corner in corners[1:])
+    normals = np.cross(edge, one), np.cross(two, edge)
+    for normal, side, third in zip(normals, (one, two), (2, 3), strict=True):
+        longest = np.max([np.linalg.norm(a, axis=1) for a in (edge, side, side - edge)], axis=0)
+        flat = np.flatnonzero(np.linalg.norm(normal, axis=1) <= LEAST_HEIGHT * longest**2)
+        if flat.size:
+            raise ValueError(
+                f"triangle {_ids(nodes[flat[0], [0, 1, third]])} starts without area, so its hinges have no "
+                "angle; move its nodes apart."
+            )
+    sine = np.linalg.norm(np.cross(*normals), axis=1)
+    angle = np.arctan2(sine, np.sum(normals[0] * normals[1], axis=1))
+    bad = np.flatnonzero(np.pi - angle < LEAST_OPENING)
+    if bad.size:
+        one_of = nodes[bad[0]]
+        raise ValueError(
+            f"{bad.size} hinges start folded by 180 degrees, the first at edge {_ids(one_of[:2])} between "
+            f"nodes {one_of[2]} and {one_of[3]}; there the force is infinite. Open them, to less than "
+            f"{np.degrees(FOLD_STOP):.0f} degrees for a start without force."
+        )
+
+
+def has_near_layers(scene: Scene, state: State) -> bool:
+    """Whether any two triangles of a self-avoiding sheet are near enough to push each other."""
+    assert scene.contact is not None
+    search = Search(scene.contact, np.asarray(scene.bending.nodes))
+    pairs, _ = search.find(np.asarray(state.x), np.zeros(scene.n_nodes))
+    return len(pairs) > 0
+
+
+def check_gap(scene: Scene, state: State) -> None:
+    """Refuse layers that touch, or lie so deep in one another that forces point nowhere; the scene has its
+    lists.
+
+    **Raises:** ValueError that states their distance and names two triangles.
+    """
+    contact = scene.contact
+    assert contact is not None
+    _check_touching(contact, np.abs(np.asarray(state.x)).max())
+    gap, _, owner = contact.nearest(state.x)
+    least = float(CLOSEST * contact.range if contact.core is None else contact.core)
+    if float(gap) <= least:
+        raise ValueError(
+            f"the sheet starts {float(gap):.3g} m from itself, at triangles {_pair(contact, owner)}; contact "
+            f"of range {float(contact.range):.3g} m needs more than {least:.3g} m. Start from layers farther "
+            "apart, or take another range."
+        )
+
+
+def _check_touching(contact: Contact, size: float) -> None:
+    near, count = contact.near, int(contact.near.pair_count)
+    if count == 0:
+        return
+    distance = np.asarray(near.distance)[:count]
+    nearest = int(np.argmin(distance))
+    if distance[nearest] <= max(ROUNDING * float(contact.range), PLACES * np.spacing(size)):
+        raise ValueError(
+            f"the sheet starts touching itself, at triangles {_pair(contact, nearest)}, so contact has no "
+            f"direction to push in; start from layers apart, by {float(contact.range):.3g} m for a start "
+            "without force, or leave contact out."
+        )
+
+
+def _pair(contact: Contact, place: ArrayLike) -> str:
+    """The nodes of the two triangles at a place in the list of pairs."""
+    triangles = np.asarray(contact.near.triangles)[int(np.asarray(place))]
+    return " and ".join(_ids(nodes) for nodes in np.asarray(contact.faces)[triangles])
+
+
+def _ids(nodes: Iterable[int]) -> str:
+    return f"({', '.join(str(int(node)) for node in nodes)})"
