@@ -3,7 +3,7 @@
 # ruff: noqa: E402
 from jaxcrumple.cli import entry
 
-# Before the other imports, which take seconds.
+# Prepare the process before the other imports, which take seconds.
 entry.prepare()
 
 from jaxcrumple.calibrate import Experiment, Fit, Parameter, calibrate_fold, calibrate_pattern, fit

@@ -1,4 +1,4 @@
-"""`python -m jaxcrumple`: the command line."""
+"""Run the command line as `python -m jaxcrumple`."""
 
 from jaxcrumple.cli.cli import main
 

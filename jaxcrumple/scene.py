@@ -1,4 +1,4 @@
-"""Scene: everything the equations of motion contain, and what one differentiates."""
+"""Scene: the parameters of the equations of motion, and the input of derivatives."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -23,19 +23,19 @@ from jaxcrumple.model.membrane import Membrane
 from jaxcrumple.model.plasticity import AbstractFlowRule, SmoothstepFlow
 from jaxcrumple.model.walls import AbstractShape, Wall
 
-# Wall stiffness as a share of the mean spring constant, for a sheet of WALL_NODES nodes.
+# Default wall stiffness as a share of the mean spring constant, for a sheet of WALL_NODES nodes.
 WALL_SHARE = 0.05
 WALL_NODES = 3000
 
 
 class Scene(eqx.Module):
-    """A sheet, its surroundings and its scales. Terms that are None cost nothing.
+    """Describe a sheet, its surroundings and its scales. Terms that are None cost nothing.
 
     - `mass` (n,) kg; `area` m2; `reference_acceleration` m/s2: $a_{ref} = k_s/(m\\lambda)$;
-      `velocity_scale` m/s weighs velocities in the explicit stage's error test.
+      `velocity_scale` m/s: unit of the velocity error in the error test of the explicit stage.
     - `membrane`, `bending`: always present. `plasticity`, `drag`, `damping`, `gravity`,
-      `prescribed`, `contact`: or None. `walls`, `extra`: tuples, possibly empty.
-    - `pattern`: where the tangent's entries are.
+      `prescribed`, `contact`: may be None. `walls`, `extra`: tuples, possibly empty.
+    - `pattern`: sparsity pattern of the tangent.
     """
 
     mass: Array
@@ -56,41 +56,41 @@ class Scene(eqx.Module):
 
     @property
     def n_nodes(self) -> int:
-        """Number of nodes."""
+        """Return the number of nodes."""
         return self.mass.shape[0]
 
     @property
     def length_scale(self) -> Array:
-        """$\\sqrt A$ in m: the unit of the position error."""
+        """Return $\\sqrt A$ in m, the unit of the position error."""
         return jnp.sqrt(self.area)
 
     @property
     def inertial_time(self) -> Array:
-        """m/b_iso in s, within which inertia outweighs drag; infinite without drag."""
+        """Return m/b_iso in s, the time scale below which inertia exceeds drag; infinite without drag."""
         if self.drag is None:
             return jnp.asarray(jnp.inf)
         return jnp.mean(self.mass) / jnp.mean(self.drag.coefficient)
 
     def rest_curvature(self, p: Array | None) -> Array:
-        """The state's rest curvature, or the undamaged one of an elastic scene."""
+        """Return the rest curvature `p` of a state, or the initial one in an elastic scene (`p` None)."""
         return self.bending.rest_curvature if p is None else p
 
 
 def require_scene(scene: Any) -> None:
-    """Refuse what is no scene.
+    """Check that an object is a Scene.
 
-    **Raises:** ValueError with its type.
+    **Raises:** ValueError that names the type of another object.
     """
     if not isinstance(scene, Scene):
-        raise ValueError(f"scene has type {type(scene).__name__}; it must be what jaxcrumple.sheet makes.")
+        raise ValueError(f"scene has type {type(scene).__name__}; it must be a Scene from jaxcrumple.sheet.")
 
 
 def check_scene(scene: Any) -> None:
-    """Refuse what is no scene, or one whose numbers or parts were replaced by what cannot be.
+    """Check the parts and numbers of a scene, which a caller may have replaced.
 
-    Numbers that JAX traces are not looked at.
+    Numbers that JAX traces are not checked.
 
-    **Raises:** ValueError that names the part.
+    **Raises:** ValueError that names the type of another object, or the invalid part of the scene.
     """
     require_scene(scene)
     hinges = scene.bending.nodes.shape[0]
@@ -113,7 +113,7 @@ def check_scene(scene: Any) -> None:
 
 
 def with_near(scene: Scene, near: Near) -> Scene:
-    """The scene with another list of interacting sites, and the tangent's pattern that goes with it."""
+    """Replace the list of site pairs, and the contact blocks of the tangent's pattern accordingly."""
     assert scene.contact is not None
     nodes = scene.contact.faces[near.triangles].reshape(-1, 6)
     return eqx.tree_at(
@@ -139,26 +139,28 @@ def sheet(
     contact: SelfContact | None = None,
     like: Scene | None = None,
 ) -> Scene:
-    """Scene of one sheet.
+    """Build the scene of one sheet.
 
-    A function of the material with derivatives, where `like` has what is made on the host.
+    With `like`, the result is differentiable with respect to the material.
 
     **Arguments:**
 
     - `mesh`, `material`: the sheet.
-    - `walls`: `Wall`s, or bare shapes, which get the default stiffness (0.05 ks at n = 3000, scaled
-      with node area) and range ($h_{eff}$).
+    - `walls`: list of `Wall` objects or shapes. A shape gets the default stiffness (0.05 ks at n = 3000,
+      scaled with node area) and the default range ($h_{eff}$).
     - `gravity`: acceleration (3,) in m/s2, or None.
-    - `prescribed`, `extra`: supports and energies of your own.
-    - `plasticity`: a flow rule of your own in place of the material's.
+    - `prescribed`, `extra`: user-defined supports and energies.
+    - `plasticity`: user-defined flow rule that replaces the material's.
     - `damping`: "central" (default) or "paper" (eq. 25).
     - `contact`: `SelfContact(...)`, or None for a phantom sheet, which passes through itself.
-    - `like`: a scene of the same mesh, stencils and contact, from which the tangent's pattern, the refinement
-      of contact and its lists are taken.
+    - `like`: a scene of the same mesh, stencils and contact. The new scene takes from it all data that the
+      host builds: the tangent's pattern, the refinement of contact and the contact lists.
 
-    **Returns:** a `Scene`. **Raises:** ValueError when x64 is off, or for an unknown option, walls, supports,
-    energies or a flow rule of another type, of shapes that do not fit the mesh, with node numbers that it
-    lacks, or with numbers that are not finite, or a scene that is not alike.
+    **Returns:** a `Scene`.
+
+    **Raises:** ValueError when x64 is off or an option is unknown; for walls, supports, energies or a flow
+    rule of the wrong type, with shapes that do not fit the mesh, with node numbers outside the mesh, or with
+    numbers that are not finite; or when `like` has another mesh, stencils or contact.
     """
     if not isinstance(mesh, Mesh):
         raise ValueError(
@@ -232,14 +234,11 @@ def _check_alike(mesh: Mesh, contact: SelfContact | None, extra: Sequence[Elemen
     same = all(np.array_equal(*pair) for pair in pairs if is_known(pair))
     if not same or like.n_nodes != mesh.n_nodes or (contact is None) != (like.contact is None):
         raise ValueError(
-            "the scene that this one is to be like has another mesh, or contact where this one has none, or "
-            "the other way round; leave `like` out."
+            "the scene `like` has another mesh, or only one of the two scenes has contact; leave `like` out."
         )
     own, its = ([term.nodes for term in terms] for terms in (extra, like.extra))
     if len(own) != len(its) or (is_known(own, its) and not all(map(np.array_equal, own, its))):
-        raise ValueError(
-            "the scene that this one is to be like has an `extra` with other nodes; leave `like` out."
-        )
+        raise ValueError("the scene `like` has an `extra` with other nodes; leave `like` out.")
     if contact is not None and like.contact is not None:
         check_options_of(contact, like.contact)
 
@@ -259,10 +258,10 @@ def _wall(wall: Wall | AbstractShape, mesh: Mesh, constants) -> Wall:
 
 
 def _velocity_scale(mesh: Mesh, material: Material) -> Array:
-    """Velocity whose error counts like a position error of the sheet's size.
+    """Return the velocity in m/s whose error counts as much as a position error of the sheet's size.
 
-    A velocity error moves a node by that error over the drag rate before drag removes it; without
-    drag the speed of sound in the sheet stands in.
+    Before drag removes a velocity error, it moves a node by the error divided by the drag rate. Without drag
+    the scale is the speed of sound in the sheet.
     """
     if _is_present(material.drag_rate):
         return jnp.asarray(np.sqrt(mesh.area) * material.drag_rate)
@@ -270,5 +269,5 @@ def _velocity_scale(mesh: Mesh, material: Material) -> Array:
 
 
 def _is_present(values: Any) -> bool:
-    """Whether a term has numbers other than 0; what JAX traces is taken to have."""
+    """Return whether any value differs from 0. Values that JAX traces count as nonzero."""
     return not is_known(values) or bool(np.any(values))

@@ -1,4 +1,4 @@
-"""`simulate`: the host's loop around `integrate`: frames, records, observers, named results."""
+"""`simulate`: the host loop around `integrate`, with frames, records, observers and named results."""
 
 import time
 from collections.abc import Sequence
@@ -26,14 +26,14 @@ from jaxcrumple.solvers.scheme import Integrator, checked_solver, integrator
 from jaxcrumple.solvers.start import check_gap, check_start, pierced
 from jaxcrumple.state import CAUSES, EXPLICIT, IMPLICIT, QUASISTATIC, RESULTS, STAGES, State, check_state
 
-# Seconds between reports to observers where calls of `integrate` are shorter.
+# Shortest time in s between reports to observers; calls of `integrate` may be shorter.
 CHUNK = 1.0
-# A call of `integrate` takes so many seconds, or as long as so many attempts: each starts by making lists and
-# a factor again, and reports and checkpoints wait for its end.
+# A call of `integrate` lasts CALL seconds or SHORTEST attempts, whichever is longer. Longer calls save work,
+# because each call rebuilds the contact lists and refactorises. Shorter calls report and checkpoint sooner.
 CALL, SHORTEST = 8.0, 32.0
-# Steps of a call of a run that is recorded: their positions are copied with the loop's other numbers.
+# Most steps in a call of a recorded run: the loop copies their positions with its other variables.
 TRAIL = 256
-# Calls in turn that wait for a list and make no attempt: more than each list can double.
+# Most consecutive calls that wait for a larger list and make no attempt: more than the lists can double.
 MOST_WAITS = 100
 _integrate = eqx.filter_jit(integrate)
 
@@ -41,7 +41,7 @@ RESULT_NAMES = ("success", "budget", "collapsed", "blocked", "intersected", "non
 
 
 class SimulationError(RuntimeError):
-    """A run that cannot go on; its last good state is in `solution`."""
+    """Report a run that did not end in success; `solution` holds its last good state."""
 
     def __init__(self, solution: "Solution"):
         super().__init__(f"{solution.result}: {solution.message}")
@@ -49,23 +49,23 @@ class SimulationError(RuntimeError):
 
 
 class Observer(Protocol):
-    """Something that is told of a run's progress, e.g. to save or to show it."""
+    """Receive the progress of a run, e.g. to save or to show it."""
 
     def frame(self, index: int, state: State) -> None:
-        """Called with the state at each frame time."""
+        """Receive the state at each frame time."""
 
     def chunk(self, state: State, history: pd.DataFrame, events: pd.DataFrame, frames: int) -> None:
-        """Called after every call of `integrate` with the new rows and the frames so far."""
+        """Receive the new rows and the number of frames so far, at frame times and between them."""
 
 
 @dataclass(repr=False)
 class Solution:
-    """What `simulate` returns.
+    """Hold what `simulate` returns.
 
-    `state` the last good state; `result` one of the names of `RESULTS` and its `message`; frames at
+    `state`: the last good state; `result`: one of the names of `RESULTS`, and its `message`; frames at
     times `t` (f,) s with positions `x` (f, n, 3) m, velocities `v` (f, n, 3) m/s and rest curvatures
-    `p` (f, h) or None; `history` and `events` as tables; `compile_s` and `run_s` wall seconds; `record`: the
-    accepted steps for `replay`, where they were asked for.
+    `p` (f, h) or None; `history` and `events`: tables; `compile_s` and `run_s`: wall time in s; `record`: the
+    accepted steps for `replay` with `record=True`, else None.
     """
 
     state: State
@@ -121,25 +121,25 @@ def simulate(
     throw: bool = False,
     record: bool = False,
 ) -> Solution:
-    """Run a scene from a state, with a frame at each of `times` (s); the last one ends the run.
+    """Run a scene from a state to the last of `times` (s), with a frame at each of them.
 
     **Arguments:**
 
     - `times`: increasing frame times in s, or the end time alone.
     - `solver`: `integrator(...)`, by default `integrator()`.
-    - `observers`: told of every frame and of every chunk of steps.
-    - `first_frame`: index of the first of `times` still to be reached (for a resumed run).
+    - `observers`: receive every frame and every chunk of steps.
+    - `first_frame`: index of the first of `times` that the run has not reached (for a resumed run).
     - `max_attempts`, `max_seconds`: budget of step attempts and of wall time; a run that exceeds one
       stops with the result "budget".
     - `throw`: raise `SimulationError` when the result is not "success".
-    - `record`: keep the accepted steps, so that the run can be differentiated by `replay`. Its equations are
-      solved further than usual, and it keeps positions (n, 3) for each step.
+    - `record`: keep the accepted steps, so that `replay` can differentiate the run. A recorded run solves its
+      equations to a smaller residual, and keeps positions (n, 3) for each step.
 
-    **Raises:** ValueError for times that are not finite, not increasing or before the state's, for a
-    state of another scene or away from its supports, a motion that is not finite at a frame time, what is not
-    a solver, a budget below 0, a limit that is no time, for frames that surely exceed the memory, and for a
-    start from which no run can proceed: behind a wall, with a hinge at 180 degrees or, in a scene with
-    contact, passing through itself.
+    **Raises:** ValueError for times that are not finite, not increasing or before the state's time; a state
+    of another scene or one that violates its supports; a motion that is not finite at a frame time; an object
+    that is not a solver; a limit that is negative or not a number; frames that exceed the memory; or a start
+    that no run can leave: behind a wall, with a hinge at 180 degrees or, in a scene with contact, passing
+    through itself.
     """
     check_state(scene, state)
     check_start(scene, state)
@@ -189,7 +189,10 @@ def simulate(
 
 
 def frame_times(t_end: float, frames: int) -> np.ndarray:
-    """`frames` + 1 evenly spaced times from 0 to `t_end` in s."""
+    """Return `frames` + 1 evenly spaced times from 0 to `t_end` in s.
+
+    **Raises:** ValueError for an end time that is not positive, or fewer frames than 1.
+    """
     if not (is_number(t_end) and np.isfinite(t_end) and t_end > 0):
         raise ValueError(f"t_end = {t_end!r} s must be a positive time.")
     if not isinstance(frames, int | np.integer) or frames < 1:
@@ -199,7 +202,7 @@ def frame_times(t_end: float, frames: int) -> np.ndarray:
 
 
 def checked_times(times: ArrayLike, first_frame: int = 0, now: float = 0.0) -> np.ndarray:
-    """Frame times in s as an array.
+    """Return the frame times in s as an array.
 
     **Raises:** ValueError for times that are not finite, not increasing or before `now`.
     """
@@ -217,13 +220,13 @@ def checked_times(times: ArrayLike, first_frame: int = 0, now: float = 0.0) -> n
         raise ValueError(f"first_frame = {first_frame} lies outside the {len(stops)} frame times.")
     if first_frame < len(stops) and stops[first_frame] < now:
         raise ValueError(
-            f"time {stops[first_frame]:g} s lies before the state's, {now:g} s; leave out what it has passed."
+            f"time {stops[first_frame]:g} s lies before the state's, {now:g} s; leave out times before it."
         )
     return stops
 
 
 class _Budget:
-    """Limits of a run on attempts and on wall time."""
+    """Limit the attempts and the wall time of a run."""
 
     def __init__(self, state: State, attempts: int | None, seconds: float | None):
         self.first = _attempts(state)
@@ -232,7 +235,7 @@ class _Budget:
         self.start = time.perf_counter()
 
     def left(self, state: State) -> float:
-        """Attempts that may be made before the next look at the clock: 0 when a limit is reached."""
+        """Return how many attempts to make before the next check of the clock; 0 or less at a limit."""
         made, spent = _attempts(state) - self.first, time.perf_counter() - self.start
         if spent >= self.seconds:
             return 0.0
@@ -249,7 +252,7 @@ def _attempts(state: State) -> int:
 
 
 def _compile(scene: Scene, state: State, solver: Integrator, recorder: Recorder | None) -> float:
-    """Compile by a call that has nothing to do; return the seconds it took."""
+    """Compile by a call without steps, and return its wall time in s."""
     make_room(scene, state, solver, recorder is None)
     start = time.perf_counter()
     jax.block_until_ready(_called(scene, state, state.t, solver, as_float(0.0), recorder))
@@ -257,7 +260,7 @@ def _compile(scene: Scene, state: State, solver: Integrator, recorder: Recorder 
 
 
 def _called(scene, state, t_stop, solver, left, recorder: Recorder | None) -> tuple[State, Log]:
-    """One call of `integrate`."""
+    """Call `integrate` once."""
     if recorder is None:
         return _integrate(scene, state, t_stop, solver, left)
     state, log = _integrate(scene, state, t_stop, solver, left, TRAIL)
@@ -308,7 +311,7 @@ def _tell(watchers, state: State, rows: np.ndarray, frames: int) -> None:
 
 
 def history_table(rows: np.ndarray) -> pd.DataFrame:
-    """Rows of a `Log` as a table with the columns of `Row`; the stage in words."""
+    """Return the rows of a `Log` as a table with the columns of `Row`, and names of stages."""
     table = pd.DataFrame(rows, columns=list(Row._fields))
     counts = (
         "kind",
@@ -321,7 +324,7 @@ def history_table(rows: np.ndarray) -> pd.DataFrame:
 
 
 def events_table(rows: np.ndarray) -> pd.DataFrame:
-    """Changes of stage among the rows of a `Log`, with energies in J before and after."""
+    """Return the changes of stage among the rows of a `Log`, with energies in J before and after."""
     events = []
     before: Row | None = None
     for values in rows:
@@ -347,7 +350,7 @@ def _event(before: Row, after: Row) -> dict:
 
 
 def _name(state: State) -> str:
-    """Name of the state's result."""
+    """Return the name of the state's result."""
     for name in RESULT_NAMES:
         if bool(state.result == getattr(RESULTS, name)):
             return name
@@ -378,7 +381,7 @@ def _joined(tables: list[pd.DataFrame], empty: pd.DataFrame) -> pd.DataFrame:
 
 
 def explain(before: State, after: State) -> str:
-    """What the steps between two states were spent on, and why the run is slow if it is."""
+    """Explain in words why steps between two states were short; return "" if they were not."""
     steps = np.asarray(after.counters.steps) - np.asarray(before.counters.steps)
     rejected = np.asarray(after.counters.rejected) - np.asarray(before.counters.rejected)
     reasons = {
@@ -386,8 +389,8 @@ def explain(before: State, after: State) -> str:
         "newton": "Newton's iteration failing on large steps",
         "unstable": "an equilibrium about to buckle",
         "fold": "hinges about to pass 180 degrees",
-        "nonfinite": "steps that are not finite",
-        "contact": "contact about to be passed through",
+        "nonfinite": "numbers that are not finite",
+        "contact": "layers or walls that longer steps would pass through",
     }
     going = bool(after.result != RESULTS.collapsed)
     if going and steps[EXPLICIT] > steps[QUASISTATIC] + steps[IMPLICIT]:

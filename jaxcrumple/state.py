@@ -1,4 +1,4 @@
-"""The state of a run: all that evolves, and what the implicit steps know of the past."""
+"""The state of a run: all variables that evolve, and the step history of the implicit stages."""
 
 from typing import Any, NamedTuple, Protocol
 
@@ -16,49 +16,50 @@ from jaxcrumple.contact.lists import Around, nowhere
 from jaxcrumple.model.loads import check_supported
 from jaxcrumple.scene import Scene, check_scene
 
-# Reach in ranges of the first list of sites at most, and of the first places in the matrix at least.
+# In contact ranges: largest reach of the first site list, and smallest reach of the first list of pairs that
+# have entries in the merged matrix.
 FIRST, FIRST_PLACED = 0.25, 0.75
-# Points the multistep history holds: BDF5 and the predictor that its error estimate needs.
+# Points in the multistep history: BDF5 and the predictor of its error estimate need 6.
 HISTORY = 6
 QUASISTATIC, IMPLICIT, EXPLICIT = 0, 1, 2
 STAGES = ("quasistatic", "implicit", "explicit")
 CAUSES = ("error", "newton", "unstable", "fold", "nonfinite", "contact")
-# Age of a tangent that no step may use.
+# Age that marks a tangent as unusable.
 NEVER = 1_000_000
 
 
 class RESULTS(eqx.Enumeration):  # type: ignore[misc]
-    """How a run ended."""
+    """Name how a run ended."""
 
     success = "the run reached its end time"
-    budget = "the budget of step attempts or of wall time was used up before the end time; resume to go on"
+    budget = "the budget of step attempts or wall time is used up before the end time; resume to continue"
     collapsed = (
-        "the step size fell below what float64 resolves in every stage the scheme has, or no lists of "
-        "contact held for a step; the last good state is kept. Look at the causes of rejection, and try "
-        "another scheme, a smaller rtol or more drag"
+        "in every stage of the scheme the step size fell below the resolution of float64, or no contact list "
+        "was valid for a whole step; the run keeps the last good state. Look at the causes of rejection, and "
+        "try another scheme, a smaller rtol or more drag"
     )
     blocked = (
-        "no step, however short, keeps the sheet from passing through itself or a wall; the last good state "
-        "is kept. The prescribed motion leaves no room, or a start lies in contact too deep, or layers meet "
+        "even the shortest step makes the sheet pass through itself or a wall; the run keeps the last good "
+        "state. The prescribed motion leaves no room, or the start is too deep in contact, or layers meet "
         "faster than the penalty stops them: try contact by a barrier, a finer mesh, or more drag"
     )
     intersected = (
-        "the sheet passes through itself in the last frame, which contact should have prevented; please "
+        "the sheet passes through itself in the last frame; contact should have prevented this, please "
         "report it"
     )
     nonfinite = (
-        "forces are not finite in the current state; it is kept as it was. Look for zero-length "
+        "forces are not finite in the current state; the run keeps that state. Look for zero-length "
         "edges, layers within the core of a barrier, or a parameter that is NaN"
     )
 
 
 class History(eqx.Module):
-    """Accepted points of the implicit stages, newest first.
+    """Hold the accepted points of the implicit stages, newest first.
 
-    `x` and `v` (6, n, 3); `p` (6, h) or None; `steps` (6,): `steps[j]` is the time between
-    points j and j+1; `count`: how many points are valid. 0 means that the one point's velocity need
-    not balance the forces (a start, or the end of an explicit stage): a quasistatic step aligns it.
-    `order`: order of the next step, where its stage allows it.
+    `x` and `v` (6, n, 3); `p` (6, h) or None; `steps` (6,) in s: `steps[j]` is the time between
+    points j and j+1; `count`: number of valid points. 0 means one point whose velocity need not balance
+    the forces (a start, or the end of an explicit stage); the next quasistatic step then aligns it.
+    `order`: order of the next step, if its stage allows that order.
     """
 
     x: Array
@@ -70,10 +71,10 @@ class History(eqx.Module):
 
 
 class ImplicitStep(eqx.Module):
-    """What an implicit step knows of the past: $\\dot y = (y + \\sum_j \\alpha_j y_j)/(\\beta h)$ (eq. 39).
+    """Hold the history sums of an implicit step: $\\dot y = (y + \\sum_j \\alpha_j y_j)/(\\beta h)$ (eq. 39).
 
-    `t` time of the equations; `beta_h` in s; `x_memory` (n, 3), `p_memory` (h,) and `damping_memory`
-    hold $\\sum_j \\alpha_j y_j$; so does `v_memory` (n, 3), or it is None where no stage has inertia.
+    `t`: time of the equations in s; `beta_h` in s; `x_memory` (n, 3), `p_memory` (h,), `damping_memory` and
+    `v_memory` (n, 3): $\\sum_j \\alpha_j y_j$; `v_memory` is None if no stage has inertia.
     `inertia` is 1 with the inertial force and 0 without.
     """
 
@@ -86,18 +87,18 @@ class ImplicitStep(eqx.Module):
     inertia: Array
 
     def velocity(self, x: Array) -> Array:
-        """Velocity (n, 3) that the formula gives for new positions `x`."""
+        """Return the velocity (n, 3) of the formula at new positions `x`."""
         return (x + self.x_memory) / self.beta_h
 
     def acceleration(self, v: Array) -> Array:
-        """Acceleration (n, 3) that the formula gives for new velocities `v`; 0 without inertia."""
+        """Return the acceleration (n, 3) of the formula at new velocities `v`; 0 without inertia."""
         if self.v_memory is None:
             return jnp.zeros_like(v)
         return self.inertia * (v + self.v_memory) / self.beta_h
 
 
 class Points(Protocol):
-    """Points of the past, newest first: positions and velocities (6, n, 3), p (6, h) or None."""
+    """Describe past points, newest first: positions and velocities (6, n, 3), p (6, h) or None."""
 
     @property
     def x(self) -> Array:
@@ -115,8 +116,9 @@ class Points(Protocol):
 def implicit_step(
     scene: Scene, history: Points, alpha: Array, beta_h: Array, t: Array, inertia: Array | None = None
 ) -> ImplicitStep:
-    """The implicit step with equations at time `t`, coefficients `alpha` (6,) over the history, and with
-    `inertia` (0 or 1), or never any (None)."""
+    """Build the implicit step with equations at time `t` and coefficients `alpha` (6,) of the history.
+
+    `inertia` is 0 or 1, or None if no stage has inertia."""
     return ImplicitStep(
         t=t,
         beta_h=beta_h,
@@ -129,7 +131,7 @@ def implicit_step(
 
 
 class Linearization(eqx.Module):
-    """Where a tangent was taken: in which `step`, at which positions `x` (n, 3), `age` steps ago."""
+    """Record where a tangent was computed: in which `step`, at positions `x` (n, 3), `age` steps ago."""
 
     step: ImplicitStep
     x: Array
@@ -137,9 +139,11 @@ class Linearization(eqx.Module):
 
 
 class Monitor(eqx.Module):
-    """The acceleration monitor: last ratios a_max/a_ref, steps and time since the stage began, whether the
-    stability limit was measured since the last step, and how many implicit stages in a row were `futile`:
-    over at once."""
+    """Hold the acceleration monitor.
+
+    `ratios`: the last ratios a_max/a_ref; `steps` and `since`: steps and time in s since the stage began;
+    `measured`: whether the stability limit was measured after the last step; `futile`: number of consecutive
+    implicit stages that ended after a few steps."""
 
     ratios: Array
     steps: Array
@@ -149,8 +153,11 @@ class Monitor(eqx.Module):
 
 
 class Counters(eqx.Module):
-    """What has been spent: accepted `steps` by stage, `rejected` ones by cause in the order of `CAUSES`,
-    `newton` iterations (each one linear solve), `linear` iterations of the solves, `factors` made."""
+    """Count the work of a run.
+
+    `steps`: accepted steps by stage; `rejected`: rejected steps by cause, in the order of `CAUSES`; `newton`:
+    Newton iterations, of one linear solve each; `linear`: iterations of these solves; `factors`:
+    factorisations; `switches`: changes of stage."""
 
     steps: Array
     rejected: Array
@@ -161,10 +168,11 @@ class Counters(eqx.Module):
 
 
 class Work(NamedTuple):
-    """Work on the sheet in J since the start, by what does it.
+    """Hold the work on the sheet in J since the start, by source.
 
-    `walls`: walls and loads that change with time; `supports`: prescribed motion; `drag`, `damping`,
-    `plastic`: what these dissipate, negative; `numerical`: what the integration adds or, negative, loses.
+    `walls`: work of walls and time-dependent loads; `supports`: work of the prescribed motion; `drag`,
+    `damping`, `plastic`: dissipation, negative; `numerical`: energy that the integration adds (positive) or
+    loses (negative).
     """
 
     walls: Array
@@ -176,13 +184,14 @@ class Work(NamedTuple):
 
 
 def no_work() -> Work:
-    """The ledger at the start."""
+    """Return the work ledger of a start: zeros."""
     return Work(*(jnp.zeros(()) for _ in Work._fields))
 
 
 class Slopes(NamedTuple):
-    """Derivatives at the state as the last explicit step handed them on: `acceleration` (n, 3) in m/s2 and
-    `flow` (h,) in 1/s, that of p; whether they are `known`."""
+    """Hold the derivatives at the state that the last explicit step computed.
+
+    `acceleration` (n, 3) in m/s2; `flow` (h,) in 1/s: dp/dt; `known`: whether both are valid."""
 
     acceleration: Array
     flow: Array | None
@@ -190,11 +199,11 @@ class Slopes(NamedTuple):
 
 
 class Listing(eqx.Module):
-    """What the lists of contact are made for, so that a saved state finds the same ones.
+    """Record for which motions the contact lists were built, so that a saved state rebuilds the same lists.
 
-    `candidates`, `near`, `active`: as in `Contact`; `matrix`: pairs of triangles that have a place in the
-    matrix of a direct solver, `stale` where one lacks it; `needed` (4,): 0, or what the lists must hold where
-    one was too short: as `Near.needed`, and candidates.
+    `candidates`, `near`, `active`: as in `Contact`; `matrix`: for the pairs of triangles that have entries in
+    the merged matrix of a direct solver; `stale`: whether a pair lacks its entries; `needed` (4,): 0, or the
+    required capacities after an overflow: the three of `Near.needed`, and that of the candidates.
     """
 
     candidates: Around
@@ -206,22 +215,22 @@ class Listing(eqx.Module):
 
 
 class Limit(NamedTuple):
-    """Largest stable explicit `step` in s where it was measured, and the stiffness (n,) in N/m of `walls`
-    there."""
+    """Hold the last measured stability limit: the largest stable explicit `step` in s, and the stiffness
+    (n,) in N/m of `walls` at that measurement."""
 
     step: Array
     walls: Array
 
 
 class State(eqx.Module):
-    """All that evolves. Fixed structure, so that a checkpoint is the whole State.
+    """Hold all variables that evolve. Its structure is fixed, so that a checkpoint is the whole State.
 
-    `t` s; `x` (n, 3) m; `v` (n, 3) m/s; `p` (h,) rest curvature or None in an elastic scene; `h`,
-    `h_explicit`: next step of the implicit stages and of the explicit one in s; `limit`: of
-    explicit steps, measured now and then; `stage`: `QUASISTATIC`, `IMPLICIT`, `EXPLICIT`, or -1 for that in
-    which the scheme starts; `slopes`: what explicit steps hand on; `listing`: None without contact; `kept`:
-    where the tangent was taken with which the last implicit step ended; `work`: the work ledger, None where
-    none is kept.
+    `t` s; `x` (n, 3) m; `v` (n, 3) m/s; `p` (h,) rest curvature, or None in an elastic scene; `h`,
+    `h_explicit`: next step of the implicit stages and of the explicit stage in s; `limit`: stability limit
+    of explicit steps, measured at intervals; `stage`: `QUASISTATIC`, `IMPLICIT`, `EXPLICIT`, or -1 for the
+    first stage of the scheme; `slopes`: derivatives that an explicit step passes to the next; `listing`: None
+    without contact; `history`: past points of the implicit stages; `kept`: where the last tangent of the
+    implicit steps was computed; `monitor`, `counters`, `result`; `work`: the work ledger, or None.
     """
 
     t: Array
@@ -246,13 +255,14 @@ class State(eqx.Module):
 def initial_state(
     scene: Scene, x: ArrayLike, v: ArrayLike | None = None, *, window: int = 5, ledger: bool = False
 ) -> State:
-    """State at t = 0 with positions `x` (n, 3) in m and velocities `v` (n, 3) in m/s (default 0).
+    """Build the state at t = 0 with positions `x` (n, 3) in m and velocities `v` (n, 3) in m/s (default 0).
 
-    `window` is the number of steps the acceleration monitor averages; `ledger`: whether runs from the state
-    keep the work ledger (`Work`), which costs little in implicit steps and two forces in explicit ones.
+    `window`: number of steps that the acceleration monitor averages; `ledger`: whether runs from the state
+    keep the work ledger (`Work`). The ledger costs little in implicit steps, and two force evaluations in
+    each explicit step.
 
-    **Raises:** ValueError for positions or velocities of another shape or not finite, positions that are not
-    where supports hold them, an empty window, or what is no scene.
+    **Raises:** ValueError for positions or velocities of another shape or not finite, positions that differ
+    from those of the supports, an empty window, or an object that is not a Scene.
     """
     check_scene(scene)
     if not isinstance(window, int | np.integer) or window < 1:
@@ -264,7 +274,7 @@ def initial_state(
         check_positions(name, value, scene.n_nodes)
     nought = jnp.asarray(0.0, float)
     _check_supports(scene, x, nought)
-    # Explicit types: weakly typed leaves would make the second call of a program compile again.
+    # Explicit types, because weakly typed leaves make the second call of a program compile again.
     zero = jnp.asarray(0, int)
     p = None if scene.plasticity is None else scene.bending.rest_curvature
     slopes, history, kept, listing = _memory(scene, x, v, p)
@@ -289,7 +299,7 @@ def initial_state(
 
 
 def fresh_monitor(window: int, futile: ArrayLike = 0) -> Monitor:
-    """Monitor at the start of a stage, of the last `window` steps, after so many `futile` stages."""
+    """Build the monitor of the last `window` steps at the start of a stage, after `futile` futile stages."""
     zero, futile = jnp.asarray(0, int), jnp.asarray(futile, int)
     return Monitor(jnp.zeros(window), zero, jnp.asarray(0.0, float), jnp.asarray(False), futile)
 
@@ -297,7 +307,7 @@ def fresh_monitor(window: int, futile: ArrayLike = 0) -> Monitor:
 def _memory(
     scene: Scene, x: Array, v: Array, p: Array | None
 ) -> tuple[Slopes, History, Linearization, Listing | None]:
-    """What a state knows that begins here."""
+    """Return the slopes, history, tangent record and listing of a state without a past."""
     slopes = Slopes(jnp.zeros_like(x), None if p is None else jnp.zeros_like(p), jnp.asarray(False))
     history = restart_history(x, v, p)
     listing = None if scene.contact is None else first_listing(scene.contact, x)
@@ -305,14 +315,14 @@ def _memory(
 
 
 def _no_linearization(scene: Scene, history: History) -> Linearization:
-    """One that no step may use."""
+    """Return a linearization that no step may use."""
     nought, one = jnp.zeros(()), jnp.ones(())
     step = implicit_step(scene, history, jnp.zeros(HISTORY), one, nought, nought)
     return Linearization(step, history.x[0], jnp.asarray(NEVER, int))
 
 
 def first_listing(contact: Contact, x: Array) -> Listing:
-    """Where a run that starts at positions `x` (n, 3) searches."""
+    """Return the listing of a run that starts at positions `x` (n, 3)."""
     around = Around(x, jnp.broadcast_to(contact.calm, x.shape[0]))
     near = Around(x, jnp.minimum(around.reach, FIRST * contact.range))
     matrix = Around(x, jnp.maximum(around.reach, FIRST_PLACED * contact.range))
@@ -321,8 +331,9 @@ def first_listing(contact: Contact, x: Array) -> Listing:
 
 
 def restarted(scene: Scene, state: State, x: Array, v: Array) -> State:
-    """The state at other positions `x` (n, 3) in m and velocities `v` (n, 3) in m/s: it remembers nothing of
-    others but its stage and its steps."""
+    """Return the state at new positions `x` (n, 3) in m and velocities `v` (n, 3) in m/s.
+
+    It keeps stage, step sizes, counters and p, and forgets history, tangent, listing and monitor."""
     return eqx.tree_at(
         lambda s: (s.x, s.v, s.slopes, s.history, s.kept, s.listing, s.monitor),
         state,
@@ -332,7 +343,7 @@ def restarted(scene: Scene, state: State, x: Array, v: Array) -> State:
 
 
 def restart_history(x: Array, v: Array, p: Array | None) -> History:
-    """History that holds the current point alone, with a velocity that nobody vouches for."""
+    """Return a history of the current point alone; its velocity need not balance the forces."""
 
     def repeat(a: Array, times: int) -> Array:
         return jnp.broadcast_to(a, (times, *a.shape))
@@ -343,13 +354,13 @@ def restart_history(x: Array, v: Array, p: Array | None) -> History:
 
 
 def check_state(scene: Scene, state: State) -> None:
-    """Refuse a state of another scene, or one that is not where the scene's supports hold it.
+    """Check that a state fits a scene and satisfies the scene's supports.
 
-    **Raises:** ValueError that says in what they differ.
+    **Raises:** ValueError that states the difference.
     """
     check_scene(scene)
     if not isinstance(state, State):
-        raise ValueError(f"state has type {type(state).__name__}; it must be what initial_state makes.")
+        raise ValueError(f"state has type {type(state).__name__}; it must be a State from initial_state.")
     cure = "start from initial_state(scene, x) of the same scene."
     if state.x.shape != (scene.n_nodes, 3):
         raise ValueError(f"the state has positions {state.x.shape}, the scene {scene.n_nodes} nodes; {cure}")
@@ -375,9 +386,9 @@ def _check_supports(scene: Scene, x: Array, t: Array) -> None:
 
 
 def check_positions(name: str, value: Any, nodes: int) -> None:
-    """Refuse what is not three finite numbers for each node.
+    """Check that `value` has shape (nodes, 3) and is finite.
 
-    **Raises:** ValueError that names the first node in question.
+    **Raises:** ValueError that states the shape, or names the first node with a number that is not finite.
     """
     if np.shape(value) != (nodes, 3):
         raise ValueError(f"{name} has shape {np.shape(value)}; it must be ({nodes}, 3).")

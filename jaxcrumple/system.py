@@ -18,7 +18,7 @@ from jaxcrumple.state import ImplicitStep, State, check_state
 
 
 class Energies(NamedTuple):
-    """Energies by term in J."""
+    """Hold the energies by term in J."""
 
     stretch: Array
     bending: Array
@@ -31,10 +31,10 @@ class Energies(NamedTuple):
 
 @door
 def energies(scene: Scene, x: ArrayLike, v: ArrayLike, p: ArrayLike | None, t: ArrayLike) -> Energies:
-    """Energies by term in J; the bending energy is that stored, with rest curvature `p`.
+    """Compute the energies by term in J. `bending` is the stored bending energy, at rest curvature `p`.
 
-    **Raises:** ValueError for positions or velocities of another shape than (n, 3), rest curvatures of
-    another than (h,), or a time that is not one number.
+    **Raises:** ValueError if positions or velocities are not of shape (n, 3), rest curvatures not of shape
+    (h,), or the time is not one number.
     """
     x, v = nodal(scene, x=x, v=v)
     p, t = _others(scene, p, t)
@@ -51,9 +51,9 @@ def energies(scene: Scene, x: ArrayLike, v: ArrayLike, p: ArrayLike | None, t: A
 
 
 def nodal(scene: Scene, **values: ArrayLike) -> list[Array]:
-    """Float arrays (n, 3) of values by name, also those of NumPy.
+    """Convert named values, NumPy arrays included, to float arrays (n, 3).
 
-    **Raises:** ValueError that names one of another shape, or for what is no scene.
+    **Raises:** ValueError that names a value of another shape, or if `scene` is not a Scene.
     """
     require_scene(scene)
     for name, value in values.items():
@@ -62,7 +62,7 @@ def nodal(scene: Scene, **values: ArrayLike) -> list[Array]:
 
 
 def _others(scene: Scene, p: ArrayLike | None, t: ArrayLike) -> tuple[Array | None, Array]:
-    """Rest curvatures (h,), or None, and time, also those of NumPy."""
+    """Convert rest curvatures (h,), or None, and the time to float arrays."""
     if p is not None:
         require_shape("p", p, scene.bending.rest_curvature.shape)
     require_shape("t", t, ())
@@ -71,7 +71,7 @@ def _others(scene: Scene, p: ArrayLike | None, t: ArrayLike) -> tuple[Array | No
 
 @door
 def potential_energy(scene: Scene, x: ArrayLike, p: ArrayLike | None, t: ArrayLike) -> Array:
-    """All stored energy in J: the function whose gradient the closed-form forces are held against.
+    """Compute the total potential energy in J. Its gradient is the reference for the closed-form forces.
 
     **Raises:** ValueError as `energies` does.
     """
@@ -81,7 +81,7 @@ def potential_energy(scene: Scene, x: ArrayLike, p: ArrayLike | None, t: ArrayLi
 
 
 def force_terms(scene: Scene, x: Array, p: Array | None, t: Array) -> list[Array]:
-    """Forces (n, 3) in N on nodes at rest, term by term; their sum is `force` without velocity."""
+    """Compute the forces (n, 3) in N on nodes at rest, term by term; their sum is `force` at v = 0."""
     bending = scene.bending.force(scene.bending.hinges(x), scene.rest_curvature(p), x.shape[0])
     terms = [scene.membrane.force(x), bending]
     terms += [] if scene.contact is None else [scene.contact.force(x)]
@@ -103,9 +103,9 @@ def _external_force(scene: Scene, x: Array, t: Array) -> Array:
 
 @door
 def force(scene: Scene, x: ArrayLike, v: ArrayLike, p: ArrayLike | None, t: ArrayLike) -> Array:
-    """Net force F(x, v, p, t) on the nodes (n, 3) in N (eq. 2).
+    """Compute the net force F(x, v, p, t) on the nodes (n, 3) in N (eq. 2).
 
-    **Raises:** ValueError for arrays as `energies` does.
+    **Raises:** ValueError as `energies` does.
     """
     x, v = nodal(scene, x=x, v=v)
     p, t = _others(scene, p, t)
@@ -113,7 +113,7 @@ def force(scene: Scene, x: ArrayLike, v: ArrayLike, p: ArrayLike | None, t: Arra
 
 
 def rates(scene: Scene, x: Array, v: Array, p: Array | None, t: Array) -> tuple[Array, Array, Array | None]:
-    """Right-hand side of eq. (1) with plastic flow: (dx/dt, dv/dt, dp/dt)."""
+    """Compute the right-hand side of eq. (1) with plastic flow: (dx/dt, dv/dt, dp/dt)."""
     f, dp = _force_and_rate(scene, x, v, p, t)
     dx, dv = v, f / scene.mass[:, None]
     if scene.prescribed is not None:
@@ -123,7 +123,7 @@ def rates(scene: Scene, x: Array, v: Array, p: Array | None, t: Array) -> tuple[
 
 
 def force_at_rest(scene: Scene, hinges: Hinge, x: Array, p: Array | None, t: Array) -> Array:
-    """Force (n, 3) in N on nodes that do not move, at positions `x` (n, 3) with these `hinges`."""
+    """Compute the force (n, 3) in N on nodes at rest at positions `x` (n, 3), whose hinges are `hinges`."""
     return _external_force(scene, x, t) + scene.bending.force(hinges, scene.rest_curvature(p), x.shape[0])
 
 
@@ -140,22 +140,22 @@ def _force_and_rate(scene: Scene, x, v, p, t) -> tuple[Array, Array | None]:
 
 
 def residual(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array | None]:
-    """Residual $Ma - F$ (n, 3) of the condensed system (51), with v and p eliminated, and the new p.
+    """Compute the residual $Ma - F$ (n, 3) of the condensed system (51), and the new p.
 
-    The plastic update is solved to rounding hinge by hinge rather than linearised, so Newton's only
-    unknown is x; at the solution this is eqs. (47)-(49).
+    The formula eliminates v and p, so that x is Newton's only unknown. The plastic update of each hinge is
+    solved to rounding instead of linearised. At the solution the system equals eqs. (47)-(49).
     """
     value, p, _ = _condensed(scene, step, x)
     return value, p
 
 
 def rest_curvature(scene: Scene, step: ImplicitStep, x: Array) -> Array | None:
-    """The new p of an implicit step that leads to positions `x` (n, 3), as `residual` has it."""
+    """Compute the new p (h,) of an implicit step that ends at positions `x` (n, 3), as in `residual`."""
     return _plastic_update(scene, step, scene.bending.hinges(x).theta)[0]
 
 
 def _plastic_update(scene: Scene, step: ImplicitStep, theta: Array) -> tuple[Array | None, Array | None]:
-    """The new p (h,) and its slope by the curvature; None without plastic flow."""
+    """Return the new p (h,) and its derivative with respect to the curvature; None without plastic flow."""
     if scene.plasticity is None or step.p_memory is None:
         return None, None
     return implicit_update(scene.plasticity, curvature(theta), step.p_memory, step.beta_h)
@@ -177,7 +177,9 @@ def _condensed(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array
 
 
 def linearize(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array]:
-    """Residual (n, 3) and its exact, symmetric tangent: values (size,) of `scene.pattern` (eq. 51)."""
+    """Compute the residual (n, 3) and the values (size,) of its exact, symmetric tangent (eq. 51).
+
+    The values are the entries of `scene.pattern`."""
     value, p, softening = _condensed(scene, step, x)
     edge_blocks = scene.membrane.blocks(x)
     nodes = jnp.zeros((x.shape[0], 3, 3), x.dtype)
@@ -201,10 +203,11 @@ def elastic_tangent(
     shift: ArrayLike = 0.0,
     taut: Array | None = None,
 ) -> Array:
-    """Values (size,) of the Hessian of the potential energy plus `shift` times the mass, in N/m; `taut` as in
-    `Membrane.blocks`.
+    """Compute the values (size,) in N/m of the Hessian of the potential energy plus `shift` times the mass.
 
-    **Raises:** ValueError for arrays as `energies` does.
+    `shift` in 1/s2; `taut` as in `Membrane.blocks`.
+
+    **Raises:** ValueError as `energies` does.
     """
     (x,) = nodal(scene, x=x)
     p, t = _others(scene, p, t)
@@ -228,7 +231,7 @@ def _assemble(scene: Scene, x, t, edge_blocks, hinge_blocks, nodes) -> Array:
 
 
 def _eliminate(scene: Scene, held: Array, values: Array) -> Array:
-    """Replace rows and columns of components `held` (n, 3) by the identity times a typical stiffness."""
+    """Replace rows and columns of the components `held` (n, 3) by the identity times a typical stiffness."""
     pattern, mask = scene.pattern, held.reshape(-1)
     fixed = mask[pattern.rows] | mask[pattern.indices]
     unit = jnp.where(pattern.rows == pattern.indices, jnp.mean(scene.membrane.stiffness), 0.0)
@@ -240,9 +243,9 @@ def _eliminate(scene: Scene, held: Array, values: Array) -> Array:
 
 @door
 def tangent(scene: Scene, state: State) -> sparse.csr_array:
-    """Stiffness matrix (3n, 3n) at a state in N/m: the Hessian of the potential energy, p held fixed.
+    """Compute the stiffness matrix (3n, 3n) in N/m: the Hessian of the potential energy at fixed p.
 
-    Rows and columns are numbered 3 * node + component; prescribed components are decoupled.
+    Row and column numbers are 3 * node + component. Prescribed components are decoupled.
 
     **Raises:** ValueError for a state of another scene.
     """
@@ -261,9 +264,9 @@ def tangent(scene: Scene, state: State) -> sparse.csr_array:
 
 @door
 def mass_matrix(scene: Scene) -> sparse.dia_array:
-    """Lumped mass matrix (3n, 3n) in kg.
+    """Return the lumped mass matrix (3n, 3n) in kg.
 
-    **Raises:** ValueError for what is no scene.
+    **Raises:** ValueError if `scene` is not a Scene.
     """
     require_scene(scene)
     return sparse.diags_array(np.repeat(np.asarray(scene.mass), 3))

@@ -47,7 +47,7 @@ SCENES: dict[str, Callable[[], RunConfig]] = {
 }
 # Files that differ from run to run of one scene: times are in them.
 TIMED = re.compile(r"(summary|manifest)\.json|checkpoints/.*|run\.vtkhdf|\.lock")
-PERMITTED = re.compile(r"(is damaged|is cut short|does not exist|cannot be read|nothing in|is not a run).*; ")
+PERMITTED = re.compile(r"(is damaged|is cut short|does not exist|cannot be read|no part of|is not a run).*; ")
 
 
 class Killed(BaseException):

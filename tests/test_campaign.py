@@ -122,9 +122,9 @@ def test_a_folder_of_another_run_is_refused(campaign):
     [
         ({}, "runs must be configurations"),
         ({"one": {"scene": "arch"}}, "'one' is a dict"),
-        ({"a/b": next(iter(RUNS.values()))}, "'a/b' has no name that a folder may have"),
-        ({"..": next(iter(RUNS.values()))}, "'..' has no name"),
-        ({"campaign.csv": next(iter(RUNS.values()))}, "'campaign.csv' has no name"),
+        ({"a/b": next(iter(RUNS.values()))}, "'a/b' has a name that no folder may have"),
+        ({"..": next(iter(RUNS.values()))}, "'..' has a name that no folder may have"),
+        ({"campaign.csv": next(iter(RUNS.values()))}, "'campaign.csv' has a name that no folder"),
     ],
 )
 def test_what_is_no_campaign_is_refused(runs, message, tmp_path):

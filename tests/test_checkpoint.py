@@ -156,7 +156,7 @@ def test_missing_files_are_refused(tmp_path, state):
 def test_foreign_npz_is_refused(tmp_path, state, header):
     arrays = {"x": np.zeros(3)} if header is None else {"header": np.array(header)}
     np.savez(tmp_path / "f.npz", **arrays)
-    with pytest.raises(CheckpointError, match="no checkpoint of jaxcrumple"):
+    with pytest.raises(CheckpointError, match="not a jaxcrumple checkpoint"):
         load_checkpoint(tmp_path / "f.npz", state)
 
 

@@ -254,7 +254,7 @@ def test_no_results_of_a_run_that_is_none(refused, tmp_path):
     (tmp_path / "manifest.json").write_text('{"format": "other"}')
     message = refused("run", "radial", "--resume", "--out", tmp_path)
     assert "is not of the format 'jaxcrumple-manifest'" in message
-    assert "nothing in" in refused("repair", tmp_path)
+    assert "no part of" in refused("repair", tmp_path)
 
 
 def test_resuming_with_other_options_is_refused(refused, finished):
@@ -283,7 +283,7 @@ def test_checkpoints_that_are_no_good_are_refused(refused, copy):
         before = contents(copy)
         text = refused("run", "radial", "--resume", "--out", copy)
         assert f"{checkpoint.name}' is damaged" in text
-        assert f"go back to what is sound: jaxcrumple repair {copy}" in text
+        assert f"return to the last undamaged checkpoint: jaxcrumple repair {copy}" in text
         assert contents(copy) == before
 
 
@@ -325,7 +325,7 @@ def test_a_run_of_nothing_sound_is_given_up(refused, copy):
         (copy / name).write_text("{}")
     for checkpoint in (copy / "checkpoints").iterdir():
         checkpoint.write_bytes(b"")
-    assert "nothing in" in refused("repair", copy)
+    assert "no part of" in refused("repair", copy)
 
 
 def test_a_scene_that_is_built_otherwise_is_refused(refused, copy, monkeypatch):

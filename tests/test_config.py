@@ -67,7 +67,7 @@ REFUSED = [
     ({"t_end": -1.0}, "t_end = -1.0: Input should be greater than 0"),
     ({"t_end": np.nan}, "t_end = nan: Input should be a finite number"),
     ({"t_end": np.inf}, "t_end = inf: Input should be a finite number"),
-    ({"t_end": 7.1}, "t_end = 7.1 s must be less than 7.1 s, when its sphere has shrunk to nothing"),
+    ({"t_end": 7.1}, "t_end = 7.1 s must be less than 7.1 s, when its sphere has zero radius"),
     ({"settings": ["speed=1"]}, "t_end = 2.6 s must be less than 0.071 s"),
     ({"nodes": 15}, "nodes = 15: Input should be greater than or equal to 16"),
     ({"nodes": 10**7}, "nodes = 10000000: Input should be less than or equal to 1000000"),
@@ -92,7 +92,7 @@ def test_unknown_scenes_are_refused():
     ("settings", "message"),
     [
         (["radius=0.05"], "radius = 0.05 m leaves the corners of a sheet of size 0.1 m outside; choose at"),
-        (["hold=7.1"], "hold = 7.1 s must be a time between 0 and 7.1 s, when the sphere has shrunk"),
+        (["hold=7.1"], "hold = 7.1 s must be a time between 0 and 7.1 s, when the sphere has zero radius"),
     ],
 )
 def test_impossible_scenes_leave_nothing_on_the_disk(tmp_path, settings, message):

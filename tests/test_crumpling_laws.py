@@ -102,7 +102,7 @@ def test_areas_that_say_nothing_are_refused():
     with pytest.raises(ValueError, match="all areas are equal"):
         measure.fit_areas([2.0, 2.0, 2.0])
     for mean in (0.0, 1.1, np.nan):
-        with pytest.raises(ValueError, match="mean area over the area of the sheet"):
+        with pytest.raises(ValueError, match="mean area divided by the sheet area"):
             measure.maturity(mean)
 
 

@@ -168,14 +168,14 @@ def plain():
     [
         (
             lambda s, a: jc.initial_state(MESH, X),
-            r"^scene has type Mesh; it must be what jaxcrumple\.sheet makes",
+            r"^scene has type Mesh; it must be a Scene from jaxcrumple\.sheet",
         ),
         (lambda s, a: jc.initial_state(s, "x"), r"^'x' is neither a number nor an array of numbers"),
         (lambda s, a: jc.initial_state(s, X, window=1.5), r"^window = 1\.5 must be at least 1 step"),
         (lambda s, a: jc.simulate(MESH, a, 0.1), r"^scene has type Mesh"),
         (
             lambda s, a: jc.simulate(s, X, 0.1),
-            r"^state has type ndarray; it must be what initial_state makes",
+            r"^state has type ndarray; it must be a State from initial_state",
         ),
         (lambda s, a: jc.simulate(s, a, 0.1, max_attempts=-1), r"^max_attempts = -1 must be zero or more"),
         (
@@ -185,7 +185,7 @@ def plain():
         (lambda s, a: jc.simulate(s, a, 0.1, first_frame=0.5), r"^first_frame = 0\.5 must be a whole number"),
         (
             lambda s, a: jc.integrate(s, a, 0.1, "hybrid"),
-            r"^solver = 'hybrid' must be what jaxcrumple\.integrator",
+            r"^solver = 'hybrid' must come from jaxcrumple\.integrator",
         ),
         (
             lambda s, a: jc.integrate(s, a, [0.1], jc.integrator()),
@@ -209,9 +209,9 @@ def plain():
             lambda s, a: jc.elastic_tangent(s, X[1:], None, 0.0),
             r"^x has shape \(39, 3\); it must be \(40, 3\)",
         ),
-        (lambda s, a: jc.tangent(s, X), r"^state has type ndarray; it must be what initial_state makes"),
-        (lambda s, a: jc.mass_matrix(MESH), r"^scene has type Mesh; it must be what"),
-        (lambda s, a: jc.with_contacts(MESH, X), r"^scene has type Mesh; it must be what"),
+        (lambda s, a: jc.tangent(s, X), r"^state has type ndarray; it must be a State from initial_state"),
+        (lambda s, a: jc.mass_matrix(MESH), r"^scene has type Mesh; it must be a Scene"),
+        (lambda s, a: jc.with_contacts(MESH, X), r"^scene has type Mesh; it must be a Scene"),
         (
             lambda s, a: jc.linear_solve("auto", s, X, X),
             r"^pattern has type Scene; it must be scene\.pattern",
@@ -226,7 +226,7 @@ def plain():
         (lambda s, a: jc.integrator(rho_infinity="0"), r"^rho_infinity = '0' must lie between 0 and 1"),
         (
             lambda s, a: jc.energy_drop(s, X, X),
-            r"^state has type ndarray; it must be what initial_state makes",
+            r"^state has type ndarray; it must be a State from initial_state",
         ),
         (lambda s, a: jc.relaxed_drop(s, 0.1, 0.2), r"^setup has type Scene; it must be a Setup"),
     ],

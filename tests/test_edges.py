@@ -65,7 +65,7 @@ def raising(error):
             2,
             "too small to compute with (OverflowError: math range error, in",
         ),
-        (ZeroDivisionError("division by zero"), 2, "look at the powers of ten of what was given"),
+        (ZeroDivisionError("division by zero"), 2, "check the powers of ten of the input"),
         (
             UnicodeEncodeError("ascii", "\udcff", 0, 1, "odd"),
             2,
@@ -415,6 +415,6 @@ def test_long_names_are_refused(tmp_path):
     with pytest.raises(jc.RunDirectoryError, match=r"File name too long; give a shorter name$"):
         jc.start_run(configure("arch", nodes=60), tmp_path / name)
     runs = {name: configure("arch", nodes=60)}
-    with pytest.raises(jc.ConfigError, match=r"has a name of 300 bytes, and a folder's may have 255"):
+    with pytest.raises(jc.ConfigError, match=r"has a name of 300 bytes; a folder's name may have 255"):
         jc.campaign(runs, tmp_path / "runs")
     assert not (tmp_path / "runs").exists()

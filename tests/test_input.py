@@ -135,7 +135,7 @@ def test_times_that_have_passed():
 
 
 def test_what_is_no_solver():
-    with pytest.raises(ValueError, match=r"solver = 'hybrid' must be what jaxcrumple\.integrator"):
+    with pytest.raises(ValueError, match=r"solver = 'hybrid' must come from jaxcrumple\.integrator"):
         simulate(scene(), state(), 0.1, solver="hybrid")
 
 

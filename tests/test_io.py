@@ -128,13 +128,13 @@ def test_a_start_cut_off_before_its_manifest_is_no_run(folder, mesh):
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        (b"{", "is no JSON"),
-        (b"\xff\xfe", "is no JSON"),
+        (b"{", "is not JSON"),
+        (b"\xff\xfe", "is not JSON"),
         (b"[1]", "is not of the format 'jaxcrumple-thing'"),
         (b'{"format": "other"}', "is not of the format 'jaxcrumple-thing'"),
         (sealed({"a": 1}, "jaxcrumple-thing", 7), "format version is 7, this program reads 2"),
-        (sealed({"a": 1}, "jaxcrumple-thing", 2).replace(b"1", b"3"), "checksum does not fit"),
-        (sealed({"a": 1}, "jaxcrumple-thing", 2).replace(b'"a"', b'"b"'), "checksum does not fit"),
+        (sealed({"a": 1}, "jaxcrumple-thing", 2).replace(b"1", b"3"), "checksum does not match"),
+        (sealed({"a": 1}, "jaxcrumple-thing", 2).replace(b'"a"', b'"b"'), "checksum does not match"),
     ],
 )
 def test_foreign_or_damaged_json_is_refused(text, match):
@@ -300,7 +300,7 @@ def test_damage_is_told_by_readers(folder, mesh, name, kind):
             }[kind]
         )
     cause = r"(is damaged|is cut short|does not exist)"
-    wanted = rf"{path.name}' {cause}.*restore it from a copy, or go back .*: jaxcrumple repair "
+    wanted = rf"{path.name}' {cause}.*restore it from a copy, or return to .*: jaxcrumple repair "
     with pytest.raises(RunDirectoryError, match=wanted):
         load(folder.path)
     assert re.search(cause, damages(folder.path)[name])

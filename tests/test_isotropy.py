@@ -180,7 +180,7 @@ def test_a_scene_of_a_file_warns_and_remeshes(tmp_path):
         jc.custom(sheet=sheet, contact=None)
     setup = jc.custom(150, seed=2, sheet={**sheet, "remesh": True}, contact=None)
     assert setup.mesh.n_nodes == 150 and setup.mesh.area == pytest.approx(12e-4, rel=1e-12)
-    with pytest.raises(jc.ConfigError, match="remesh leaves no node of the file that has the thickness"):
+    with pytest.raises(jc.ConfigError, match="remesh replaces the nodes that have the thickness"):
         jc.custom(sheet={**sheet, "remesh": True, "thickness": "h"})
 
 
@@ -195,7 +195,7 @@ def test_check_says_how_stiff_the_mesh_of_a_file_is(tmp_path):
     lines = described(jc.read_scene_file(scene))
     assert "nodes: 49, seed 0" in lines
     assert any(
-        line.startswith("mesh: Young's modulus 98.5% of the one asked for (+-75.8% with the direction)")
+        line.startswith("mesh: Young's modulus 98.5% of the material's value (+-75.8% with the direction)")
         for line in lines
     )
     scene.write_text(text + "remesh = true\n")

@@ -139,14 +139,14 @@ def test_what_is_refused(lattice):
     x, rest = lattice.vertices, lattice.rest_curvature
     good = np.ones(len(lattice.faces))
     for share in (0.0, 1.0, np.nan):
-        with pytest.raises(ValueError, match="part of the energy between 0 and 1"):
+        with pytest.raises(ValueError, match="a fraction of the energy between 0 and 1"):
             measure.localization(lattice, good, share)
     with pytest.raises(ValueError, match=r"density has shape \(3,\)"):
         measure.localization(lattice, good[:3])
     for bad in (-1.0, np.nan):
         with pytest.raises(ValueError, match="negative or nan"):
             measure.participation_ratio(lattice, np.append(good[1:], bad))
-    with pytest.raises(ValueError, match=r"moved by more than 0\.05; lower the threshold"):
+    with pytest.raises(ValueError, match=r"changed by more than 0\.05; lower the threshold"):
         measure.fold_angle_distribution(lattice, x, rest)
     with pytest.raises(ValueError, match=r"bins from 1 to 2 leave out some values"):
         measure.curvature_distribution(lattice, x, bins=[1.0, 2.0])

@@ -87,7 +87,7 @@ def test_properties_per_node():
     assert c.sigma == pytest.approx(h.mean())
     np.testing.assert_allclose(c.mass.sum(), 1000 * (h * mesh.node_area).sum())
     with pytest.raises(
-        ValueError, match="thickness has 20 values but the mesh has 12 nodes; give one value a node"
+        ValueError, match="thickness has 20 values but the mesh has 12 nodes; give one value per node"
     ):
         material.discretize(hexagonal(4, 2, 0.01))
 

@@ -160,7 +160,7 @@ def test_stl_points_merge_within_a_millionth_of_the_size(file):
 def test_refuses_a_merging_distance_that_cannot_be(file):
     path = file("a.off", off())
     for merge in ("1 kg", "near", -1.0, np.nan, [1]):
-        with pytest.raises(MeshError, match=f"merge = {re.escape(repr(merge))} is no .*; give"):
+        with pytest.raises(MeshError, match=f"merge = {re.escape(repr(merge))} is not .*; give"):
             Mesh.from_file(path, merge=merge)
     with pytest.raises(MeshError, match="merge = 1 m leaves no triangle; give less than the edges"):
         Mesh.from_file(path, merge=1.0)
@@ -187,7 +187,7 @@ def test_a_unit_is_that_of_all_lengths(file):
         ("1", "choose one of"),
         ("", "choose"),
     ):
-        with pytest.raises(MeshError, match=f"unit = '{unit}' is no unit of length; {re.escape(hint)}"):
+        with pytest.raises(MeshError, match=f"unit = '{unit}' is not a unit of length; {re.escape(hint)}"):
             Mesh.from_file(path, unit=unit)
 
 
@@ -216,7 +216,10 @@ def test_a_scene_file_has_unit_and_merging_distance(file, tmp_path):
     mesh = jc.read_scene_file(scene).build().mesh
     assert mesh.n_nodes == 9 and mesh.area == pytest.approx(12e-4, rel=1e-5)
     for line, said in (
-        ('unit = "mmm"', r"line 5: options\.sheet\.unit = 'mmm': is no unit of length; did you mean 'mm'\?"),
+        (
+            'unit = "mmm"',
+            r"line 5: options\.sheet\.unit = 'mmm': is not a unit of length; did you mean 'mm'\?",
+        ),
         ('merge = "1 kg"', r"line 5: options\.sheet\.merge = '1 kg' is a mass; give a length"),
         ("merge = -1", r"line 5: options\.sheet\.merge = -1: Input should be greater than or equal to 0"),
     ):

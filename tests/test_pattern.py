@@ -63,7 +63,7 @@ def test_a_setup_says_its_material():
     setup = jc.radial(60, sweeps=5, contact=None)
     assert setup.material.thickness == jc.Material().thickness
     for other in (setup._replace(material=None), setup.scene):
-        with pytest.raises(ValueError, match="a Setup that says its material"):
+        with pytest.raises(ValueError, match="a Setup with a material"):
             jc.calibrate_pattern(other, TIMES, np.zeros((3, 1)), {}, std=1.0)
 
 

@@ -61,7 +61,7 @@ def test_what_has_no_unit_is_left_alone(value):
         ("3 __import__('os')", "has an unknown unit"),
         ("3 m + 2 m", "has an unknown unit"),
         ("1e999999999 km", "is too large or too small a number"),
-        (True, "is no number; give a length"),
+        (True, "is not a number; give a length"),
     ],
 )
 def test_other_units_are_refused(text, message):

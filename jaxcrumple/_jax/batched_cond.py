@@ -1,4 +1,4 @@
-"""Work that a batch skips where none of its lanes needs it."""
+"""Conditional computation that a batch skips if none of its lanes needs it."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,11 +13,11 @@ from jaxcrumple._jax.tree import select
 
 
 def where_needed(needed: Array, make: Callable[..., Any], old: Any, *args: Any) -> Any:
-    """`make(*args)` where it is `needed`, else the tree `old` of the same arrays.
+    """Return `make(*args)` where `needed`, else `old`, a tree of the same structure.
 
-    As `jax.lax.cond`, which under `vmap` always computes both; this computes `make` for all lanes if one of
-    them needs it, and for none otherwise. All that lanes differ by must be among the arguments. In forward
-    mode it has one direction at a time (`jax.jvp`).
+    Under `vmap`, `jax.lax.cond` computes both branches. This function computes `make` for all lanes if at
+    least one lane needs it, else for none. Pass every value that differs between lanes in `args`. Forward
+    mode takes one direction at a time (`jax.jvp`).
     """
     arrays, static = eqx.partition((old, args), eqx.is_array)
 

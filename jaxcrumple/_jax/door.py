@@ -1,4 +1,4 @@
-"""What public functions share: double precision, and modes of JAX of their own."""
+"""Guards of all public functions: double precision, and the default modes of JAX."""
 
 import contextlib
 import functools
@@ -15,12 +15,12 @@ Made = TypeVar("Made")
 
 @contextlib.contextmanager
 def own_modes() -> Iterator[None]:
-    """Compute in modes of JAX of our own, whatever the caller has set.
+    """Compute in the default modes of JAX, whatever modes the caller has set.
 
-    `jax_numpy_dtype_promotion`, `jax_numpy_rank_promotion` and the transfer guard find slips in the caller's
-    code. Here ranks and types are promoted on purpose, and arguments may be numbers of Python and of NumPy.
-    Rules of derivatives and of batching run when their caller has returned, so they need this as well.
-    Programs are the same as in the modes that JAX has by default.
+    `jax_numpy_dtype_promotion`, `jax_numpy_rank_promotion` and the transfer guard detect mistakes in the
+    caller's code. This package promotes ranks and types on purpose, and its arguments may be Python or NumPy
+    numbers. JAX runs derivative and batching rules after their caller has returned, so these rules need this
+    context as well. The compiled programs are the same as in JAX's default modes.
     """
     with (
         jax.numpy_dtype_promotion("standard"),
@@ -31,7 +31,7 @@ def own_modes() -> Iterator[None]:
 
 
 def door(function: Callable[Given, Made]) -> Callable[Given, Made]:
-    """A public function that computes: it refuses single precision, and computes in `own_modes`."""
+    """Decorate a public function: refuse single precision, and compute in `own_modes`."""
 
     @functools.wraps(function)
     def checked(*args: Given.args, **kwargs: Given.kwargs) -> Made:
@@ -45,7 +45,7 @@ def door(function: Callable[Given, Made]) -> Callable[Given, Made]:
 def require_x64() -> None:
     """Refuse to compute in single precision.
 
-    **Raises:** ValueError with the setting to change.
+    **Raises:** ValueError that names the setting to change.
     """
     if jnp.result_type(float) != np.float64:
         raise ValueError(

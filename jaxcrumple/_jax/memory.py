@@ -1,4 +1,4 @@
-"""How much memory there is, and the refusal of what would exceed it."""
+"""Memory limit of the process, and refusal of requests that exceed it."""
 
 import math
 import resource
@@ -8,26 +8,28 @@ from pathlib import Path
 
 import psutil
 
-# Where Linux shows control groups, by which containers and job schedulers limit memory. The limits that
-# `distributed.system` reads leave out those of a group below the root, which a scheduler's job is in, and
-# take in those that are no bounds.
+# Linux paths of control groups, with which containers and job schedulers limit memory. `distributed.system`
+# is not enough: it omits limits of groups below the root, where a scheduler puts its jobs, and it includes
+# values that are not bounds.
 GROUPS, OWN_GROUPS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
-# Of one array whose size is known: what it takes with its temporary copies, at most.
+# Largest memory of one array with its temporary copies, in units of its own size.
 COPIES = 2.0
-# Largest number of entries that 32-bit indices reach.
+# Largest number of entries that 32-bit indices can address.
 MOST_ENTRIES = 2**31 - 1
-# Bytes of a run, least and most: of the process with its program, of what contact adds to that, and of a node
-# in a sheet of SIZE nodes, which grows as the factor of a direct solver does, with the logarithm of their
-# number (`scripts/results/estimates.md`).
+# Bytes of a run, (least, most): the process with its compiled program, the extra memory for contact, and one
+# node in a sheet of SIZE nodes. The bytes per node grow with the logarithm of the number of nodes, as the
+# factor of a direct solver does (`scripts/results/estimates.md`).
 PROCESS, CONTACT, NODE, SIZE = (0.5e9, 1.3e9), (0.3e9, 2.9e9), (1.5e4, 4e4), 1000
-# Bytes of a node in a frame: positions, velocities and the rest curvature of three hinges, once more where
-# they are put together at the end.
+# Bytes per node and frame: positions, velocities and the rest curvature of three hinges. The factor 2 counts
+# the copy that concatenates the frames at the end.
 FRAME = 2.0 * 72.0
 
 
 def memory_limit() -> int:
-    """Bytes that this process may hold: the machine's memory, or less by limits of a container, a job or the
-    process."""
+    """Return the bytes that this process may use.
+
+    This is the machine's memory, or the lower limit of a container, a job or the process.
+    """
     limits = [psutil.virtual_memory().total, *group_limits()]
     for kind in (resource.RLIMIT_AS, resource.RLIMIT_DATA):
         soft, _ = resource.getrlimit(kind)
@@ -37,7 +39,7 @@ def memory_limit() -> int:
 
 
 def group_limits(root: Path = GROUPS, own: Path = OWN_GROUPS) -> Iterator[int]:
-    """Limits in bytes of the control groups of this process and of those around them, versions 1 and 2."""
+    """Yield the limits in bytes of this process's control groups and their parents, versions 1 and 2."""
     try:
         lines = own.read_text().splitlines()
     except OSError:
@@ -59,15 +61,15 @@ def group_limits(root: Path = GROUPS, own: Path = OWN_GROUPS) -> Iterator[int]:
 
 
 def times_that_fit(size: float) -> float:
-    """How many times `size` bytes fit into the memory."""
+    """Return how many times `size` bytes fit into the memory limit."""
     return memory_limit() / size
 
 
 def require(least: float, what: str, cure: str, most: float | None = None) -> None:
-    """Refuse what takes more memory than there is, before it is allocated; warn of what may take more.
+    """Refuse a request above the memory limit before it allocates; warn if it may exceed the limit.
 
-    **Arguments:** `least`: bytes that it surely takes; `what` takes them, in words; `cure`: what makes it
-    smaller; `most`: bytes that it may take, by default `COPIES` times the least.
+    **Arguments:** `least`: lower bound of the request in bytes; `what`: the request in words; `cure`: how to
+    reduce it; `most`: upper bound in bytes, by default `COPIES` times `least`.
 
     **Raises:** ValueError with the estimate, the limit and the cure.
     """
@@ -81,7 +83,7 @@ def require(least: float, what: str, cure: str, most: float | None = None) -> No
 
 
 def require_indices(count: float, what: str, cure: str) -> None:
-    """Refuse more entries than 32-bit indices reach.
+    """Refuse more entries than 32-bit indices can address.
 
     **Raises:** ValueError with the count and the cure.
     """
@@ -90,12 +92,12 @@ def require_indices(count: float, what: str, cure: str) -> None:
 
 
 def gigabytes(size: float) -> str:
-    """A size in bytes in words."""
+    """Format a size in bytes."""
     return f"{size * 1e-9:.3g} GB"
 
 
 def run_bytes(nodes: int, frames: int, contact: bool) -> tuple[float, float]:
-    """Peak memory of a run in bytes, least and most, with its frames in memory."""
+    """Estimate the peak memory of a run in bytes as (least, most), with all frames in memory."""
     growth = math.log(max(nodes, SIZE)) / math.log(SIZE)
     least, most = (
         process + (touching if contact else 0.0) + nodes * (node * growth + FRAME * frames)
@@ -105,7 +107,7 @@ def run_bytes(nodes: int, frames: int, contact: bool) -> tuple[float, float]:
 
 
 def require_run(nodes: int, frames: int, contact: bool, runs: int = 1) -> None:
-    """Refuse `runs` side by side that surely exceed the memory.
+    """Refuse `runs` concurrent runs if even their least estimate exceeds the memory limit.
 
     **Raises:** ValueError with the estimate and the cure.
     """

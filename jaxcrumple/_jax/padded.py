@@ -1,5 +1,7 @@
-"""Lists that are mostly empty: what their entries add up to and which to keep, a chunk at a time, so that
-room costs nothing."""
+"""Padded lists of fixed capacity: sum, select and fill entries chunk by chunk.
+
+The loops stop at the number of entries in use, so unused capacity costs no time.
+"""
 
 import math
 from collections.abc import Callable
@@ -13,7 +15,7 @@ from jax import Array
 
 from jaxcrumple._jax.door import own_modes
 
-# Length of the parts in which a long running count is made.
+# Row length of the two-stage cumulative sum in `counted`.
 SIDE = 32
 
 
@@ -25,12 +27,12 @@ def accumulate(
     room: int,
     chunk: int,
 ) -> Any:
-    """`start` with what the first `count` entries of a list with `room` add to it.
+    """Add the contributions of the first `count` entries of a list of capacity `room` to `start`.
 
-    `add(total, arguments, places, held)` adds those at `places` (chunk,) that are `held` (chunk,), and
-    nothing where one is not; it closes over no number that is differentiated. The loop ends with the list;
-    derivatives, of any order and mode, come from one that has as many rounds as the list has room, and skips
-    those beyond, many at a time.
+    `add(total, arguments, places, held)` adds the entries at `places` (chunk,) where `held` (chunk,) is true,
+    and ignores the others. Pass differentiated numbers in `arguments`; `add` must not close over them. The
+    loop stops at `count`. Derivatives of any order and mode use a loop over the full capacity, which skips
+    the rounds beyond `count` in groups.
     """
     return _accumulate(start, arguments, count, add=add, room=room, chunk=min(chunk, room))
 
@@ -66,8 +68,10 @@ def _derivative(primals, tangents, *, add, room: int, chunk: int):
 
 
 def _each(function: Callable[[Any, Array], Any], start: Any, numbers: Array, count: Array) -> Any:
-    """`start` with what a `function` of `numbers` (m,) adds for those below `count`. Reverse mode keeps
-    nothing of them: there may be many, and few below."""
+    """Add the contributions of `function` for each of `numbers` (m,) below `count` to `start`.
+
+    Reverse mode recomputes the rounds instead of storing them: there may be many, but few below `count`.
+    """
 
     @jax.checkpoint
     def body(total: Any, number: Array) -> tuple[Any, None]:
@@ -77,7 +81,7 @@ def _each(function: Callable[[Any, Array], Any], start: Any, numbers: Array, cou
 
 
 def _places(first: Array, count: Array, room: int, chunk: int) -> tuple[Array, Array]:
-    """Places (chunk,) from `first` on, none beyond the `room`, and which are among the first `count`."""
+    """Return places (chunk,) from `first` on, clipped to the capacity `room`, and which are below `count`."""
     at = first + jnp.arange(chunk)
     return jnp.minimum(at, room - 1), at < count
 
@@ -90,11 +94,12 @@ def compacted(
     rows: int,
     entries: Callable[[Array], Array] = lambda places: places,
 ) -> tuple[Array, Array]:
-    """Places row * width + column where `test` holds, in order, 0 beyond, and how many there are; or the
-    `entries` of a list at these places.
+    """List the places row * width + column where `test` holds, in order, padded with 0.
 
-    `test` takes row numbers (k,) and returns (k, `width`) of a table whose first `count` rows count. It is
-    called for `rows` at a time, as often as there are such. Nothing of this is differentiated.
+    `test` takes row numbers (k,) and returns flags (k, `width`) of a table with `count` valid rows. The loop
+    tests `rows` rows at a time. The result is not differentiable.
+
+    **Returns:** `entries` of these places (size,), by default the places themselves, and how many there are.
     """
 
     def body(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -103,12 +108,12 @@ def compacted(
         inside = jnp.minimum(at, count - 1)
         flat = (test(inside) & (at < count)[:, None]).reshape(-1)
         order = total + counted(flat)
-        # Where a row has one place, what `test` and `entries` have in common is computed once.
+        # With one place per row this form lets XLA share the common part of `test` and `entries`.
         places = inside[:, None] * width + jnp.arange(width, dtype=jnp.int32)
         found = entries(places.reshape(-1))
         return chunk + 1, kept.at[jnp.where(flat, order - 1, size)].set(found, mode="drop"), order[-1]
 
-    # Wider integers take four times as long.
+    # 64-bit integers take four times as long.
     zero, count = jnp.zeros((), jnp.int32), jnp.asarray(count, jnp.int32)
     start = (zero, jnp.zeros(size, jax.eval_shape(entries, zero[None]).dtype), zero)
     _, kept, total = jax.lax.while_loop(lambda carry: carry[0] * rows < count, body, start)
@@ -122,12 +127,12 @@ def enumerated(
     rows: int,
     entries: Callable[[Array, Array], Array],
 ) -> tuple[Array, Array]:
-    """The whole numbers of intervals in order, 0 beyond, and how many there are, as what `entries` makes of
-    them.
+    """List the integers in the intervals of each row, in order, mapped by `entries` and padded with 0.
 
-    `intervals` takes row numbers (k,) and returns the first number of (k, w) intervals and the one behind the
-    last; `entries` takes row numbers (k,) and numbers (k, w). `rows` are looked at at a time, as in
-    `compacted`.
+    `intervals` takes row numbers (k,) and returns start and exclusive end of (k, w) intervals. `entries`
+    takes row numbers (k,) and integers (k, w). The loop takes `rows` rows at a time, as in `compacted`.
+
+    **Returns:** the mapped integers (size,), and how many there are.
     """
 
     def body(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -155,8 +160,10 @@ def enumerated(
 
 
 def filled(value: Callable[[Array], Any], count: Array, size: int, chunk: int) -> Any:
-    """Columns (size,) of a table with what `value` makes of places (chunk,), a tree of columns (chunk,), for
-    the first `count`; the others are 0."""
+    """Fill the columns (size,) of a table chunk by chunk for its first `count` entries.
+
+    `value` takes places (chunk,) and returns a tree of columns (chunk,). Entries after the last chunk are 0.
+    """
 
     def body(carry: tuple[Array, Any]) -> tuple[Array, Any]:
         first, columns = carry
@@ -172,8 +179,10 @@ def filled(value: Callable[[Array], Any], count: Array, size: int, chunk: int) -
 
 
 def counted(numbers: Array) -> Array:
-    """Sum (m,) of small whole `numbers` (m,), or of flags, up to and including each: two short sums, the
-    first by a product of matrices."""
+    """Return the inclusive cumulative sum (m,) of small integers or flags `numbers` (m,).
+
+    A matrix product sums within rows of SIDE numbers; a short cumulative sum adds the rows before.
+    """
     rows = jnp.pad(numbers, (0, -numbers.size % SIDE)).reshape(-1, SIDE).astype(jnp.float32)
     within = rows @ jnp.triu(jnp.ones((SIDE, SIDE), jnp.float32))
     before = jnp.cumsum(within[:, -1]) - within[:, -1]

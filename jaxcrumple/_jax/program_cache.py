@@ -1,4 +1,4 @@
-"""Compiled programs: forgotten before they use up the mappings or the memory that a process may have."""
+"""Clear compiled programs before they exhaust the memory mappings or the memory of the process."""
 
 import ctypes
 import gc
@@ -12,25 +12,25 @@ import psutil
 
 from jaxcrumple._jax.memory import memory_limit
 
-# Where Linux lists the mappings of this process, and how many it may have.
+# Linux files with the memory mappings of this process, and with their maximum number.
 MAPPINGS, LIMIT = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
-# Share of the mappings from which on programs are forgotten: what is left is enough for several more.
+# Share of the mappings at which programs are cleared: the rest is enough for several more programs.
 SHARE = 0.6
-# Programs are kept for FEW scenes of other sizes, and while memory has grown by less than GROWTH bytes since
-# programs were last forgotten: who changes between a few scenes compiles each once. Above MOST of all memory
-# no number is kept.
+# Programs are cleared when FEW of them are compiled and memory has grown by more than GROWTH bytes since the
+# last clearing. A user who switches between a few scenes thus compiles each once. Above the share MOST of all
+# memory, one compiled program is enough.
 FEW, GROWTH, MOST = 4, 300e6, 0.5
 
 
 class _Memory:
-    """What was compiled since programs were last forgotten, and the memory in use after that."""
+    """Programs compiled since the last clearing, and the memory in use then."""
 
     def __init__(self) -> None:
         self.compiled: set[Hashable] = set()
         self.before: float | None = None
 
     def crowded(self, program: Hashable) -> bool:
-        """Whether to forget before another `program` is compiled, which is noted."""
+        """Return whether to clear the programs before compiling `program`; update the memory baseline."""
         if program in self.compiled:
             return False
         used = resident()
@@ -46,17 +46,19 @@ _memory = _Memory()
 
 
 def make_room(*arguments: Any, share: float = SHARE) -> bool:
-    """Forget all compiled programs if memory or mappings run short; whether it did.
+    """Clear all compiled programs if memory or memory mappings run short.
 
-    JAX keeps every program that it ever compiled, also those for meshes and lists of contact of sizes that do
-    not come again. One of a phantom sheet takes 0.1 GB, with contact 1 GB. XLA maps each kernel of a program
-    by itself: a run with contact takes 4300 of the 65 530 that Linux grants by default, and where LLVM gets
-    no more it ends the process. What is needed again is compiled again, or read from the persistent cache.
-    Elsewhere than on Linux nothing is known of mappings.
+    JAX keeps every program that it has compiled, also those for mesh and contact list sizes that do not
+    recur. A program of a phantom sheet takes 0.1 GB, with contact 1 GB. XLA maps each kernel of a program
+    separately: a run with contact takes 4300 of the 65 530 mappings that Linux allows by default. If LLVM
+    gets no more mappings, it ends the process. JAX compiles a cleared program again on its next use, or reads
+    it from the persistent cache. Mappings are checked on Linux only.
 
-    **Arguments:** `arguments` with which a program is called next. One that was called with such since
-    programs were last forgotten needs no more memory, and none is made. `share` of the mappings that may be
+    **Arguments:** `arguments`: of the next call. If a program ran with such arguments since the last
+    clearing, the call needs no more memory, and memory is not checked. `share`: of the mappings that may be
     in use.
+
+    **Returns:** whether it cleared the programs.
     """
     program = _signature(arguments)
     crowded = _memory.crowded(program) or _out_of_mappings(share)
@@ -71,12 +73,12 @@ def make_room(*arguments: Any, share: float = SHARE) -> bool:
 
 
 def resident() -> float:
-    """Memory in bytes that this process has in use."""
+    """Return the resident memory of this process in bytes."""
     return float(psutil.Process().memory_info().rss)
 
 
 def _signature(arguments: Any) -> Hashable:
-    """What is equal for arguments that run the same compiled program."""
+    """Return a key that is equal for arguments that run the same compiled program."""
     arrays, rest = eqx.partition(arguments, eqx.is_array)
     shapes = tuple((leaf.shape, str(leaf.dtype)) for leaf in jax.tree.leaves(arrays))
     return shapes, jax.tree.structure(arrays), repr(jax.tree.leaves(rest))
@@ -91,7 +93,7 @@ def _out_of_mappings(share: float) -> bool:
 
 
 def _give_back() -> None:
-    """Hand free memory back to the system where the C library keeps it: half of what programs took."""
+    """Return free memory to the system; the C library otherwise keeps half of what programs took."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
         trim(0)

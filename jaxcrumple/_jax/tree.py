@@ -1,4 +1,4 @@
-"""Fields that hold physical numbers, trees of them, and refusals of numbers that cannot be."""
+"""Conversion and checks of numeric fields, and selection between trees of them."""
 
 from typing import Any
 
@@ -8,16 +8,16 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-# Characters of a wrong value that a message quotes.
+# Most characters of a wrong value that a message quotes.
 QUOTED = 80
 
 
 def as_float(value: ArrayLike) -> Array:
-    """Float array of a number or an array: a leaf to differentiate by, whatever it was given as.
+    """Convert a number or an array to a float array, so that the field is a differentiable leaf.
 
-    The explicit type makes numbers of Python and of NumPy compile to the same program.
+    The explicit type makes Python and NumPy numbers compile to the same program.
 
-    **Raises:** ValueError for what is not made of numbers.
+    **Raises:** ValueError for a value that is not numeric.
     """
     with jax.transfer_guard("allow"):
         try:
@@ -29,13 +29,13 @@ def as_float(value: ArrayLike) -> Array:
 
 
 def as_numbers(what: str, value: ArrayLike) -> Array:
-    """Array of node numbers.
+    """Convert node numbers to an integer array.
 
-    **Raises:** ValueError for what is not made of whole numbers from 0 on.
+    **Raises:** ValueError unless all are whole numbers from 0 on.
     """
     given = value if isinstance(value, Array) else np.asarray(value)
     if given.dtype.kind not in "iu":
-        raise ValueError(f"{what} = {value!r} must be whole numbers; use numpy.flatnonzero of a mask.")
+        raise ValueError(f"{what} = {value!r} must be whole numbers; use numpy.flatnonzero(mask) for a mask.")
     if is_known(given) and np.any(np.asarray(given) < 0):
         raise ValueError(f"{what} holds {np.min(np.asarray(given))}; nodes are numbered from 0 on.")
     with jax.transfer_guard("allow"):
@@ -43,12 +43,12 @@ def as_numbers(what: str, value: ArrayLike) -> Array:
 
 
 def is_known(*values: Any) -> bool:
-    """Whether all numbers in `values` can be looked at: none is traced by a transformation of JAX."""
+    """Return whether all numbers in `values` are concrete: no transformation of JAX traces one of them."""
     return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))
 
 
 def require_finite(what: str, value: Any) -> None:
-    """Refuse a number or an array with an entry that is not finite; what JAX traces is not looked at.
+    """Refuse a number or an array with an entry that is not finite; skip traced values.
 
     **Raises:** ValueError that names the first such entry.
     """
@@ -62,7 +62,7 @@ def require_finite(what: str, value: Any) -> None:
 
 
 def require_numbers(what: str, value: Any, *, positive: bool = False) -> None:
-    """Refuse numbers that are not finite or negative, or not `positive`; what JAX traces is not looked at.
+    """Refuse numbers that are not finite or are negative, with `positive` also zero; skip traced values.
 
     **Raises:** ValueError that names the first one.
     """
@@ -78,16 +78,16 @@ def require_numbers(what: str, value: Any, *, positive: bool = False) -> None:
 
 
 def require_shape(what: str, value: Any, *shapes: tuple[int, ...]) -> None:
-    """Refuse an array of a shape that is not among `shapes`.
+    """Refuse an array whose shape is not among `shapes`.
 
-    **Raises:** ValueError with its shape and those it may have.
+    **Raises:** ValueError with its shape and the permitted shapes.
     """
     if np.shape(value) not in shapes:
         raise ValueError(f"{what} has shape {np.shape(value)}; it must be {' or '.join(map(str, shapes))}.")
 
 
 def require_limit(name: str, value: Any) -> None:
-    """Refuse a limit that is not a number from 0 on, or None.
+    """Refuse a limit that is neither None nor a number >= 0.
 
     **Raises:** ValueError that names it.
     """
@@ -96,17 +96,17 @@ def require_limit(name: str, value: Any) -> None:
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is one real number of Python, NumPy or JAX, or one that JAX traces."""
+    """Return whether a value is one real number of Python, NumPy or JAX, concrete or traced."""
     kind = getattr(np.asarray(value) if is_known(value) else value, "dtype", np.dtype(object)).kind
     return kind in "iuf" and np.shape(value) == ()
 
 
 def shown(value: Any) -> str:
-    """A value as a message of one line quotes it: itself, or its type if it is long."""
+    """Quote a value for a message of one line: its repr, or its type if the repr is long."""
     text = repr(value)
     return text if len(text) <= QUOTED and "\n" not in text else f"a {type(value).__name__}"
 
 
 def select(keep: Array, new: Any, old: Any) -> Any:
-    """The leaves of the tree `new` where `keep`, else those of `old`."""
+    """Select the leaves of the tree `new` where `keep`, else those of `old`."""
     return jax.tree.map(lambda a, b: jnp.where(keep, a, b), new, old)

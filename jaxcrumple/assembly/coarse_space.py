@@ -5,24 +5,23 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-# Functions that reach a cell along one direction, and those that reach it or a cell next to it.
+# Number of functions along one direction that overlap a cell, and that overlap it or an adjacent cell.
 SUPPORT, WINDOW = 4, 6
-# Cells per direction: one per this many node distances, and no more than a dense factor can bear.
+# Smallest cell width in node distances, and most cells per direction: this limits the size of the dense
+# factor.
 NODES_PER_CELL, MOST_CELLS = 4.5, 16
 
 
 class CoarseSpace(eqx.Module):
-    """Cubic B-splines on a grid of square cells over the two longest directions of the rest shape.
+    """Hold cubic B-splines on a grid of square cells over the two longest directions of the rest shape.
 
-    Node i, in cell `cell[i]`, has SUPPORT weights along each direction. Neighbours in the mesh are
-    at most one cell apart, so a row of the tangent meets the WINDOW functions along each direction
-    only.
+    Node i, in cell `cell[i]`, has SUPPORT weights along each direction. Neighbours in the mesh are at most
+    one cell apart, so that a row of the tangent involves only WINDOW functions along each direction.
 
     - `cell` (n, 2): a node's cell in the grid; `weights` (n, 2, 4).
-    - `members` (c, k): nodes of each occupied cell, padded with n; `place` (n,): a node's position in
-      the flattened members.
-    - `functions` (c, 16), `window` (c, 36): numbers of a cell's functions; what lies outside the grid
-      has the number `size`.
+    - `members` (c, k): nodes of each occupied cell, padded with n; `place` (n,): a node's index in the
+      flattened members.
+    - `functions` (c, 16), `window` (c, 36): numbers of a cell's functions; `size` outside the grid.
     - `size`: number of functions.
     """
 
@@ -36,10 +35,10 @@ class CoarseSpace(eqx.Module):
 
 
 def build_coarse_space(rest: np.ndarray, pairs: np.ndarray) -> CoarseSpace:
-    """Coarse space for nodes at `rest` (n, 3) whose tangent couples the node `pairs` (m, 2).
+    """Build the coarse space of nodes at `rest` (n, 3) m whose tangent couples the node `pairs` (m, 2).
 
-    A shell that folds over itself when seen along its shortest direction gets functions that tie its
-    layers together: the preconditioner stays valid and loses quality.
+    If a shell covers itself along its shortest direction, the functions couple its layers. The
+    preconditioner is then still valid, but less effective.
     """
     points = _longest_directions(np.asarray(rest, float))
     reach = np.max(np.abs(points[pairs[:, 0]] - points[pairs[:, 1]])) if len(pairs) else 0.0
@@ -70,14 +69,14 @@ def build_coarse_space(rest: np.ndarray, pairs: np.ndarray) -> CoarseSpace:
 
 
 def _longest_directions(rest: np.ndarray) -> np.ndarray:
-    """Coordinates (n, 2) along the principal directions of largest variance."""
+    """Return coordinates (n, 2) along the two principal directions of largest variance."""
     centred = rest - rest.mean(axis=0)
     _, directions = np.linalg.eigh(centred.T @ centred)
     return centred @ directions[:, :0:-1]
 
 
 def _cubic(u: np.ndarray) -> np.ndarray:
-    """Weights (..., 4) of the uniform cubic B-splines that reach a cell, at `u` in [0, 1] of it."""
+    """Return the weights (..., 4) of the uniform cubic B-splines that overlap a cell, at `u` in [0, 1]."""
     return (
         np.stack(
             [(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3],
@@ -99,7 +98,7 @@ def _members(owner: np.ndarray, cells: int, n: int) -> tuple[np.ndarray, np.ndar
 
 
 def _numbers(corner: np.ndarray, first: int, count: int, sides: np.ndarray) -> np.ndarray:
-    """Numbers (c, count^2) of the functions from `first` on; the number of functions where outside."""
+    """Return the numbers (c, count^2) of functions from offset `first`; outside the grid, their total."""
     along = [corner[:, i, None] + first + np.arange(count) for i in range(2)]
     inside = [(a >= 0) & (a < side) for a, side in zip(along, sides, strict=True)]
     number = along[0][:, :, None] * sides[1] + along[1][:, None, :]

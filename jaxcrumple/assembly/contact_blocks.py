@@ -1,8 +1,8 @@
-"""The part of the tangent that contact adds: 3x3 blocks between the nodes of two triangles that touch.
+"""Contact blocks of the tangent: 3x3 blocks between the nodes of two triangles in contact.
 
-It comes and goes, so it is kept beside the sheet's own pattern, as a list of pairs of triangles. The blocks
-of a triangle's own nodes have a place in the sheet's pattern already. A direct solver needs all in one
-matrix, whose structure `Merger` makes on the host for a list of pairs.
+The pairs in contact change, so that their blocks are stored separately from the sheet's pattern, as a list of
+pairs of triangles. The blocks between nodes of the same triangle are part of the sheet's pattern. A direct
+solver needs all blocks in one matrix; `Merger` builds its structure on the host for a list of pairs.
 """
 
 import equinox as eqx
@@ -14,19 +14,18 @@ from jax import Array
 from jaxcrumple._jax.padded import accumulate
 from jaxcrumple.contact.lists import pair_key
 
-# Numbers that a pair of triangles adds to the tangent's values: a block for each node of one and of the
-# other.
+# Values of a pair of triangles in the tangent: a 3x3 block for each node of the first and of the second.
 SIZE = 81
-# Pairs of triangles that are looked at together.
+# Pairs of triangles that are processed together.
 CHUNK = 128
 
 
 class Merged(eqx.Module):
-    """Sheet and contact in one matrix of compressed sparse rows.
+    """Hold the structure of sheet and contact in one matrix of compressed sparse rows.
 
-    `indptr` (3n+1,), `indices` (room,), of which those beyond the last row are never read; `place` (nnz,) of
-    the sheet's own entries; `keys` (c,) of pairs of triangles, sorted, and `cross` (c, 81): entries of their
-    blocks, room where dropped.
+    `indptr` (3n+1,); `indices` (room,), of which those after the last row are unused; `place` (nnz,): index
+    of the sheet's entries; `keys` (c,): sorted keys of pairs of triangles; `cross` (c, 81): index of the
+    entries of their blocks, or `room` for entries below the diagonal, which are dropped.
     """
 
     indptr: Array
@@ -37,11 +36,11 @@ class Merged(eqx.Module):
 
 
 class Cross(eqx.Module):
-    """Blocks between touching triangles.
+    """Hold the blocks between triangles in contact.
 
-    - `face_blocks` (f, 6): the pattern's blocks of a triangle's own nodes, as `upper_pairs(3)`.
-    - `triangles` (t, 2), `nodes` (t, 6), of which the first `count` are valid.
-    - `merged`: the whole matrix, or None where no direct solver needs it.
+    - `face_blocks` (f, 6): index in the pattern of the blocks within a triangle, ordered as `upper_pairs(3)`.
+    - `triangles` (t, 2), `nodes` (t, 6): pairs of triangles and their nodes; the first `count` are valid.
+    - `merged`: structure of the merged matrix, or None if the linear solver does not need it.
     """
 
     face_blocks: Array
@@ -52,11 +51,11 @@ class Cross(eqx.Module):
 
     @property
     def size(self) -> int:
-        """Numbers of all blocks."""
+        """Return the number of values of all blocks."""
         return SIZE * self.triangles.shape[0]
 
     def product(self, appended: Array, x: Array) -> Array:
-        """Appended values (81 t + n,) times vector (3n,)."""
+        """Multiply the blocks in the appended values (81 t + n,) by a vector (3n,)."""
 
         def add(total: Array, arguments: tuple["Cross", Array, Array], at: Array, held: Array) -> Array:
             cross, blocks, points = arguments
@@ -71,18 +70,18 @@ class Cross(eqx.Module):
         return accumulate(add, jnp.zeros_like(points), arguments, self.count, room, CHUNK).reshape(-1)
 
     def free(self, appended: Array, mask: Array) -> Array:
-        """Appended values with rows and columns of components in `mask` (n, 3) set to zero."""
+        """Set rows and columns of components in `mask` (n, 3) to zero in the appended values."""
         one, two = mask[self.nodes[:, :3]], mask[self.nodes[:, 3:]]
         fixed = one[:, :, None, :, None] | two[:, None, :, None, :]
         blocks = jnp.where(fixed, 0.0, self._blocks(appended)).reshape(-1)
         return jnp.concatenate([blocks, self.lift(appended)])
 
     def lift(self, appended: Array) -> Array:
-        """The diagonal (n,) that the sheet's own part needs where it stands without the blocks."""
+        """Return the diagonal correction (n,) for uses of the sheet's part without the contact blocks."""
         return appended[self.size :]
 
     def upper(self, appended: np.ndarray, size: int) -> sparse.csr_array:
-        """Appended values as the upper triangle of a matrix (size, size)."""
+        """Convert the appended values to the upper triangle of a matrix (size, size)."""
         nodes = np.asarray(self.nodes)
         row = np.broadcast_to(
             3 * nodes[:, :3, None, None, None] + np.arange(3)[:, None], (len(nodes), 3, 3, 3, 3)
@@ -94,7 +93,7 @@ class Cross(eqx.Module):
         return sparse.csr_array(sparse.triu(matrix + matrix.T))
 
     def merge(self, own: Array, appended: Array) -> Array:
-        """Values of the merged matrix (room,)."""
+        """Compute the values (room,) of the merged matrix."""
         assert self.merged is not None
         merged = self.merged
         values = jnp.zeros(merged.indices.shape[0], own.dtype).at[merged.place].set(own)
@@ -103,7 +102,7 @@ class Cross(eqx.Module):
             cross, merged, blocks = arguments
             nodes = cross.nodes[at]
             twice = nodes[:, :3, None] == nodes[:, None, 3:]
-            # A node that both triangles have is met from both sides.
+            # At a shared node both a block and its transpose fall on the same diagonal block.
             factor = jnp.where(twice, 2.0, 1.0)[..., None, None]
             entries = merged.cross[cross._rows(merged, at)]
             return total.at[entries].add((_kept(blocks[at], held) * factor).reshape(-1, SIZE), mode="drop")
@@ -112,7 +111,7 @@ class Cross(eqx.Module):
         return accumulate(add, values, arguments, self.count, self.triangles.shape[0], CHUNK)
 
     def placed(self) -> Array:
-        """Whether all pairs have a place in the merged matrix, where there is one."""
+        """Return whether all pairs have entries in the merged matrix; True without such a matrix."""
         if self.merged is None:
             return jnp.asarray(True)
         at = jnp.arange(self.triangles.shape[0])
@@ -120,18 +119,18 @@ class Cross(eqx.Module):
         return jnp.all(found | (at >= self.count))
 
     def _rows(self, merged: Merged, at: Array) -> Array:
-        """Where pairs at places (c,) are in a merged matrix, if they are."""
+        """Return the rows in `merged.keys` of the pairs `at` (c,); meaningless for pairs without entries."""
         return jnp.minimum(jnp.searchsorted(merged.keys, self._keys(at)), merged.keys.shape[0] - 1)
 
     def _keys(self, at: Array) -> Array:
         return pair_key(self.triangles[at], self.face_blocks.shape[0])
 
     def _blocks(self, appended: Array) -> Array:
-        """Blocks (t, 3, 3, 3, 3) of appended values: pair of triangles, node of the one, of the other,
-        components."""
+        """Reshape appended values to blocks (t, 3, 3, 3, 3): pair, node of the first and of the second
+        triangle, components."""
         return appended[: self.size].reshape(-1, 3, 3, 3, 3)
 
 
 def _kept(blocks: Array, held: Array) -> Array:
-    """Those of `blocks` (c, 3, 3, 3, 3) that are `held` (c,), zeros for the others."""
+    """Set those of `blocks` (c, 3, 3, 3, 3) to zero that are not `held` (c,)."""
     return jnp.where(held[:, None, None, None, None], blocks, 0.0)

@@ -1,4 +1,4 @@
-"""The structure of sheet and contact in one matrix, made on the host for a list of pairs."""
+"""The merged matrix: the structure of sheet and contact in one matrix, built on the host."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,12 +10,12 @@ from jaxcrumple.contact.lists import NONE, SOON, doubled, pair_key
 
 # Bytes of an entry of a pair of triangles.
 BYTES = 8.0
-# Room for entries that a pair adds, of 81: it has most of its blocks in common with other pairs.
+# Capacity in new entries per pair, of its 81: most blocks of a pair also belong to other pairs.
 ENTRIES = 10
 
 
 class Merger:
-    """Merges pairs of triangles into one sheet's pattern."""
+    """Merge pairs of triangles into the pattern of a sheet."""
 
     def __init__(self, pattern: Pattern, faces: np.ndarray):
         self.n = len(pattern.diagonal) // 3
@@ -25,13 +25,16 @@ class Merger:
         self.keys = np.unique(row * self.n + column)
         entries, _ = scalar_entries(self.n, self.keys // self.n, self.keys % self.n)
         self.upper = entries.reshape(-1) < self.nnz
-        # Blocks are numbered row by row, so a block's entries are not next to one another.
+        # Entries are numbered by scalar rows, so that the entries of a block are not adjacent.
         self.order = entries.reshape(-1)[self.upper]
 
     def merge(self, triangles: np.ndarray, capacity: int, spare: float = 1.0) -> Merged:
-        """Structure with room for `capacity` pairs, the first of which are `triangles` (c, 2), sorted. Where
-        `spare` times these, or the entries that they add, need more, it is doubled until it has room for
-        `SOON` times as many."""
+        """Build the structure for the sorted pairs `triangles` (c, 2), with room for `capacity` pairs.
+
+        If `spare` times the pairs, or the entries that they add, exceed the capacity, it is doubled until it
+        holds `SOON` times as many.
+
+        **Raises:** ValueError for a matrix that exceeds memory or 32-bit indices."""
         n = self.n
         nodes = self.faces[triangles]
         a, b = np.broadcast_arrays(nodes[:, 0, :, None], nodes[:, 1, None, :])
@@ -44,7 +47,7 @@ class Merger:
         if spare * needed > capacity:
             capacity = doubled(capacity, int(SOON * needed))
         room = self.nnz + ENTRIES * capacity
-        what = f"the matrix of a direct solver, with room for {capacity} pairs of triangles that touch,"
+        what = f"the matrix of a direct solver, with room for {capacity} pairs of triangles in contact,"
         cure = "choose linear = 'two-level', or resume with a coarser mesh"
         require_indices(room, what, cure)
         require(BYTES * SIZE * capacity, what, cure)
@@ -59,7 +62,7 @@ class Merger:
         cross[: len(nodes)] = found.reshape(-1, SIZE)
         indptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
         pairs = np.full(capacity, NONE)
-        # By NumPy: JAX would compile this for every number of pairs.
+        # NumPy, because JAX would compile this for every number of pairs.
         pairs[: len(triangles)] = pair_key(triangles, len(self.faces))
         arrays = (indptr, indices[:-1], place, pairs, cross)
         return Merged(*map(jnp.asarray, arrays))

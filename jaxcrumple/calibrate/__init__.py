@@ -1,4 +1,4 @@
-"""Parameters from measurements: fits of runs by their derivatives."""
+"""Fit parameters of runs to measurements, with derivatives from replays."""
 
 from jaxcrumple.calibrate.experiment import Experiment
 from jaxcrumple.calibrate.fit import Fit, Parameter, fit

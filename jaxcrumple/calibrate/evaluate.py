@@ -1,4 +1,4 @@
-"""Runs at trial parameters: residuals from the run, their derivatives from its replay."""
+"""Evaluate runs at trial parameters: residuals from the run, derivatives from its replay."""
 
 import hashlib
 import json
@@ -21,17 +21,17 @@ from jaxcrumple.replay import Record, Replay, replay
 from jaxcrumple.simulate import simulate
 from jaxcrumple.solvers.scheme import Integrator
 
-# Result of a run that a larger budget might lead on; it is not kept in a file.
+# Result of a run that ended at its budget. The file does not store it: a larger budget may continue the run.
 BUDGET = "budget"
 
 
 class Evaluations:
-    """Evaluations of one experiment, each made once, and kept in a file as they come.
+    """Evaluate one experiment, each point once, and append every evaluation to a file.
 
-    The file's first line tells the fit from others, each following one is an evaluation.
+    The first line of the file identifies the fit; each further line holds one evaluation.
 
-    **Raises:** ValueError for an experiment that cannot be evaluated, a file of another fit or of something
-    else, or a place that is a folder.
+    **Raises:** ValueError if the experiment cannot be evaluated, if the file belongs to another fit or is no
+    file of a fit, or if the path is a folder.
     """
 
     def __init__(
@@ -58,38 +58,38 @@ class Evaluations:
             self._open(path, start)
 
     def residuals(self, u: np.ndarray) -> np.ndarray:
-        """Residuals (m,) at encoded parameters; infinite where the run fails."""
+        """Return the residuals (m,) at encoded parameters; all are infinite if the run fails."""
         return self._once("residuals", u, self._run)
 
     def jacobian(self, u: np.ndarray) -> np.ndarray:
-        """Derivatives (m, k) of the residuals by encoded parameters, in forward mode."""
+        """Return the Jacobian (m, k) of the residuals with respect to encoded parameters, in forward mode."""
         return self._once("jacobian", u, lambda u: _jacobian(self._recorded(u), jnp.asarray(u), self._frozen))
 
     def gradient(self, u: np.ndarray) -> np.ndarray:
-        """Derivatives (k,) of half the sum of squares, in reverse mode."""
+        """Return the gradient (k,) of half the sum of squares, in reverse mode."""
         return self._once("gradient", u, lambda u: _gradient(self._recorded(u), jnp.asarray(u), self._frozen))
 
     def trouble(self, u: np.ndarray) -> str:
-        """In words, where and how the run at encoded parameters failed."""
+        """Describe where and how the run at encoded parameters failed."""
         return f"the run at {self._told(u)} fails: {self.failures[_key(u)]}"
 
     def nearest_failure(self, u: np.ndarray) -> np.ndarray | None:
-        """Encoded parameters of the run nearest to `u` that failed, if any did."""
+        """Return the encoded parameters of the failed run nearest to `u`; None if no run failed."""
         failed = [np.frombuffer(bytes.fromhex(key)) for key in self.failures]
         return min(failed, key=lambda other: float(np.linalg.norm(other - u)), default=None)
 
     def snaps(self, u: np.ndarray) -> int:
-        """How many snaps the run at encoded parameters goes through."""
+        """Return the number of snaps in the run at encoded parameters."""
         return self._snaps[_key(u)]
 
     @property
     def history(self) -> pd.DataFrame:
-        """A line for each evaluation asked for: its kind, the parameters, half the sum of squares, how
-        many snaps the run goes through, seconds."""
+        """One row for each requested evaluation: kind, parameters, half the sum of squares, number of snaps,
+        seconds."""
         return pd.DataFrame(self.rows, columns=["kind", *self.scales, "loss", "snaps", "seconds"])
 
     def _run(self, u: np.ndarray) -> np.ndarray:
-        """Residuals (m,), infinite with the failure noted where there are none."""
+        """Return the residuals (m,). If the run fails, record the cause and return infinite residuals."""
         self.last = (_key(u), None)
         try:
             found, failure = self._residuals(u)
@@ -106,7 +106,7 @@ class Evaluations:
         return found
 
     def _residuals(self, u: np.ndarray) -> tuple[np.ndarray, str]:
-        """Residuals (m,), and why there are none."""
+        """Return the residuals (m,) and an empty text, or no residuals and the cause of the failure."""
         scene, state = self.experiment.start(self.decoded(u))
         times, attempts = self.experiment.times, self.max_attempts
         solution = simulate(scene, state, times, solver=self.solver, max_attempts=attempts, record=True)
@@ -140,7 +140,7 @@ class Evaluations:
         value = np.asarray(evaluate(np.asarray(u)))
         if kind != "residuals" and not np.all(np.isfinite(value)):
             raise ValueError(
-                f"the run at {self._told(u)} has no derivatives: those of a step are not finite. "
+                f"the run at {self._told(u)} has no derivatives: the derivatives of a step are not finite. "
                 "Choose another start, or a smaller rtol."
             )
         record = self.last[1]
@@ -155,7 +155,7 @@ class Evaluations:
         return value
 
     def _tell(self, kind: str, u: np.ndarray, value: np.ndarray, seconds: float) -> None:
-        """Add an evaluation to the history, unless it is there."""
+        """Add an evaluation to the history unless it is already there."""
         if (kind, _key(u)) in self.told:
             return
         self.told.add((kind, _key(u)))
@@ -166,11 +166,11 @@ class Evaluations:
         self.tell(self.rows[-1])
 
     def _told(self, u: np.ndarray) -> str:
-        """The parameters in words."""
+        """Format the parameters as text."""
         return ", ".join(f"{name} = {float(value):.6g}" for name, value in self.decoded(u).items())
 
     def _open(self, path: Path, start: np.ndarray) -> None:
-        """Go on with the fit in a file, or begin one."""
+        """Read the evaluations of an existing file, or create the file."""
         if path.is_dir():
             raise ValueError(f"{path} is a folder; a fit is kept in a file.")
         text = path.read_text(errors="replace") if path.exists() else ""
@@ -183,22 +183,22 @@ class Evaluations:
                 raise refusal(path, error) from error
             write_bytes(path, _sealed(header).encode())
             return
-        # What follows the last end of a line is from a fit that was killed.
+        # An incomplete last line comes from a fit that was killed.
         whole = text[: text.rfind("\n") + 1]
         try:
             found = [_unsealed(path, *numbered) for numbered in enumerate(whole.splitlines(), 1)]
             header, lines = found[0], found[1:]
             scales, probe, known = header["fit"], np.array(header["u"]), header["fingerprint"]
         except (KeyError, TypeError, IndexError) as error:
-            raise ValueError(f"{path} is no file of a fit; give another one, or remove it.") from error
+            raise ValueError(f"{path} is not the file of a fit; give another file, or remove it.") from error
         if scales != self.scales:
             raise ValueError(
-                f"{path} holds a fit of {', '.join(scales)}, not of {', '.join(self.scales)}, or on another "
-                "scale; give another file."
+                f"{path} holds a fit of {', '.join(scales)}, not of {', '.join(self.scales)}, or one on "
+                "another scale; give another file."
             )
         other = difference(known, fingerprint(self.experiment, self.decoded(probe), self.solver))
         if other:
-            raise ValueError(f"{path} holds a fit with other numbers of {other}; give another file.")
+            raise ValueError(f"{path} holds a fit that differs in {other}; give another file.")
         if whole != text:
             path.write_text(whole)
         for line in lines:
@@ -209,24 +209,25 @@ class Evaluations:
 
 
 def _sealed(contents: Mapping[str, Any]) -> str:
-    """A line of the file, with its own checksum. Residuals of a run that failed are infinite."""
+    """Return a line of the file with its checksum. Residuals of a failed run are infinite."""
     text = json.dumps(contents)
     return json.dumps({"contents": contents, "sha256": hashlib.sha256(text.encode()).hexdigest()}) + "\n"
 
 
 def _unsealed(path: Path, number: int, line: str) -> dict[str, Any]:
-    """Contents of a line. **Raises:** ValueError for one that `_sealed` did not make."""
+    """Return the contents of a line. **Raises:** ValueError if `_sealed` did not write the line."""
     try:
         whole = json.loads(line)
         text, sha256 = json.dumps(whole["contents"]), whole["sha256"]
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(
-            f"{path} is no file of a fit in line {number}; remove the line, or give another file."
+            f"{path} is not the file of a fit: cannot read line {number}. Remove the line, or give another "
+            "file."
         ) from error
     if hashlib.sha256(text.encode()).hexdigest() != sha256:
         raise ValueError(
-            f"line {number} of {path} is damaged: its checksum does not fit. Remove the line, and what it "
-            "holds is computed again."
+            f"line {number} of {path} is damaged: its checksum does not match. Remove the line; the fit "
+            "then computes this evaluation again."
         )
     return whole["contents"]
 

@@ -1,4 +1,4 @@
-"""What is run at trial parameters: checked before it runs, and told from others."""
+"""Define the experiment that a fit runs; check it before the first run, and compute its fingerprint."""
 
 import hashlib
 from collections.abc import Callable
@@ -21,13 +21,14 @@ Values = dict[str, Any]
 
 
 class Experiment(NamedTuple):
-    """What is run at trial parameters.
+    """Define a run that depends on parameters, and its residuals.
 
-    - `setup`: `setup(values)` -> (scene, state) for values by name, which JAX may trace: build the scene by
-      `Setup.made_of`, by `sheet(..., like=)`, or by `eqx.tree_at` from one with plain numbers.
+    - `setup`: `setup(values)` -> (scene, state), where `values` maps names to numbers that JAX may trace.
+      Build the scene with `Setup.made_of` or `sheet(..., like=)`, or with `eqx.tree_at` from a scene of plain
+      numbers.
     - `times`: frame times in s.
-    - `residuals`: `residuals(frames)` -> (m,), for frames as in `Replay`: what is measured less what was
-      observed, over its uncertainty.
+    - `residuals`: `residuals(frames)` -> (m,), with `frames` as in `Replay`: simulated value minus observed
+      value, divided by the uncertainty.
     """
 
     setup: Callable[[Values], tuple[Scene, State]]
@@ -35,9 +36,10 @@ class Experiment(NamedTuple):
     residuals: Callable[[Replay], Array]
 
     def start(self, values: Values) -> tuple[Scene, State]:
-        """Scene and state at values of the parameters.
+        """Return the scene and the initial state at given parameter values.
 
-        **Raises:** ValueError for a parameter that is none, or what is no scene with its state.
+        **Raises:** ValueError if `setup` asks for an unknown parameter, or does not return a scene and a
+        state.
         """
         try:
             made = self.setup(values)
@@ -45,7 +47,7 @@ class Experiment(NamedTuple):
             if error.args[0] in values:
                 raise
             raise ValueError(
-                f"setup asks for {error}, which is none of the parameters: {', '.join(values)}."
+                f"setup asks for {error}, which is not one of the parameters: {', '.join(values)}."
             ) from error
         pair = isinstance(made, tuple) and len(made) == 2
         if not (pair and isinstance(made[0], Scene) and isinstance(made[1], State)):
@@ -56,7 +58,7 @@ class Experiment(NamedTuple):
         return made
 
     def at_start(self, values: Values) -> Array:
-        """Residuals (m,) of a sheet that stays where it starts."""
+        """Return the residuals (m,) of a sheet that does not move from its start."""
         _, state = self.start(values)
         times = jnp.asarray(checked_times(self.times))
         x, v, p = (
@@ -68,10 +70,10 @@ class Experiment(NamedTuple):
 
 
 def count_residuals(experiment: Experiment, values: Values) -> int:
-    """How many residuals there are, from a look at how they are computed.
+    """Return the number of residuals, from a trace without a run.
 
-    **Raises:** ValueError for what is no experiment, a setup or residuals that JAX cannot trace, or residuals
-    of another shape.
+    **Raises:** ValueError if `experiment` is no `Experiment`, if JAX cannot trace its setup or residuals, or
+    if the residuals do not have the shape (m,).
     """
     if not isinstance(experiment, Experiment):
         raise ValueError(
@@ -82,7 +84,7 @@ def count_residuals(experiment: Experiment, values: Values) -> int:
     except jax.errors.JAXTypeError as error:
         told = str(error).partition("\n")[0]
         raise ValueError(
-            "setup or residuals make a plain number of one that JAX traces: build the scene by "
+            "setup or residuals convert a number that JAX traces to a plain number: build the scene with "
             f"Setup.made_of, sheet(..., like=) or eqx.tree_at, and compute with jax.numpy ({told})."
         ) from error
     shape = getattr(found, "shape", type(found).__name__)
@@ -92,7 +94,7 @@ def count_residuals(experiment: Experiment, values: Values) -> int:
 
 
 def fingerprint(experiment: Experiment, values: Values, solver: Integrator | None) -> dict[str, Any]:
-    """What tells an experiment from others: its parts in words, each with some of its numbers."""
+    """Return a fingerprint of an experiment: for each named part a hash of its structure and some numbers."""
     return {
         "times": _sketch(checked_times(experiment.times)),
         "a solver": _sketch(solver),
@@ -102,7 +104,7 @@ def fingerprint(experiment: Experiment, values: Values, solver: Integrator | Non
 
 
 def difference(one: dict[str, Any], other: dict[str, Any]) -> str:
-    """The first part in which fingerprints differ; empty where they are the same."""
+    """Return the first part in which two fingerprints differ; empty if they agree."""
     for name, (kind, numbers) in one.items():
         its_kind, its_numbers = other[name]
         if not (alike(numbers, its_numbers) and kind == its_kind):
@@ -111,6 +113,6 @@ def difference(one: dict[str, Any], other: dict[str, Any]) -> str:
 
 
 def _sketch(tree: Any) -> tuple[str, list[float]]:
-    """What kind of tree it is, and a sketch of its numbers."""
+    """Return a hash of the static structure of a tree, and a sketch of its numbers."""
     static = eqx.partition(tree, eqx.is_array)[1]
     return hashlib.sha256(eqx.tree_pformat(static).encode()).hexdigest(), sketch(tree)

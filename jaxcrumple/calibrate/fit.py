@@ -1,4 +1,4 @@
-"""`fit`: parameters of runs from measurements, by least squares or by gradients."""
+"""`fit`: estimate parameters of runs from measurements, by least squares, gradient descent or bracketing."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -17,18 +17,19 @@ from jaxcrumple.calibrate.evaluate import Evaluations
 from jaxcrumple.calibrate.experiment import Experiment, Values
 from jaxcrumple.solvers.scheme import Integrator
 
-# Steps by which a bracket is sought, as factors of the parameter.
+# Factor between successive parameter values in the search for a bracket.
 GROWTH = 1.5
-# Smallest relative change that rounding leaves to be seen.
+# Smallest relative change that exceeds rounding errors.
 FINEST = 1e-14
-# Where runs fail, a fit that could still lessen its loss by so many times `rtol` has not come to its end.
+# If a run failed, a fit whose loss could still fall by more than BARRED * rtol (relative) has not converged.
 BARRED = 10.0
-# Condition of the derivatives from which parameters are not determined: rounding, squared.
+# Condition number of the Jacobian above which the data do not determine the parameters: its square, the
+# condition of the normal equations, then reaches 1 over the rounding error.
 UNDETERMINED = 1e8
 
 
 class Parameter(NamedTuple):
-    """A parameter to be found: where to `start`, its bounds, and whether on a logarithmic scale."""
+    """An unknown parameter: initial guess `start`, bounds, and whether to fit its logarithm (`log`)."""
 
     start: float
     lower: float
@@ -38,14 +39,17 @@ class Parameter(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class Fit:
-    """What `fit` returns.
+    """Result of `fit`.
 
-    `values` and their standard deviations `std` by name; `covariance` (k, k) and `condition`, that of the
-    derivatives of the residuals, both by encoded parameters (the logarithm of those on a logarithmic scale);
-    `loss`: half the sum of squares of the `residuals` (m,); `snaps`: how many the run at the values goes
-    through, whose instants its derivatives hold fixed; `history`: a line for each evaluation that it asked
-    for, of which `evaluations` are runs and `gradient_evaluations` derivatives (0 s where its file had them);
-    `success`: whether it came to a minimum within the bounds, and why it ended, `message`.
+    - `values`, `std`: parameter values and their standard deviations, by name.
+    - `covariance` (k, k), `condition`: covariance of the encoded parameters, and condition number of the
+      Jacobian of the residuals with respect to them. A parameter on a logarithmic scale is encoded as its
+      logarithm.
+    - `residuals` (m,), `loss`: residuals at `values`, and half the sum of their squares.
+    - `snaps`: number of snaps in the run at `values`. The derivatives hold the instants of the snaps fixed.
+    - `history`: one row for each requested evaluation: `evaluations` runs and `gradient_evaluations`
+      derivatives. An evaluation read from the file takes 0 s.
+    - `success`, `message`: whether the fit reached a minimum within the bounds, and why it ended.
     """
 
     values: dict[str, float]
@@ -61,12 +65,12 @@ class Fit:
 
     @property
     def evaluations(self) -> int:
-        """How many runs it asked for."""
+        """Number of requested runs."""
         return int((self.history["kind"] == "residuals").sum())
 
     @property
     def gradient_evaluations(self) -> int:
-        """How many derivatives it asked for."""
+        """Number of requested derivatives."""
         return len(self.history) - self.evaluations
 
     def __repr__(self) -> str:
@@ -92,35 +96,34 @@ def fit(
     checkpoint: str | Path | None = None,
     tell: Callable[[Mapping[str, Any]], None] = lambda row: None,
 ) -> Fit:
-    """Parameters for which an experiment leaves least residuals.
+    """Find the parameters that minimise the residuals of an experiment.
 
-    Every trial is a run of its own, with its own steps; its derivatives are those of its `replay`.
+    Each trial is a separate run with its own steps. Its derivatives come from its `replay`.
 
     **Arguments:**
 
-    - `experiment`: what is run, and how its frames are compared with what was measured.
-    - `parameters`: those to be found, by name.
-    - `method`: "least-squares", the trust-region method of SciPy with derivatives in forward mode; an
-      optimiser of Optax that wants gradients alone, in reverse mode and clipped to the bounds; or "root",
-      Brent's method
-      without derivatives for one residual of one parameter, which gets past jumps.
-    - `solver`: of the runs, by default `integrator()`.
-    - `max_steps`: runs, or steps of an optimiser, at most.
-    - `rtol`: relative change of loss or parameters at which it ends.
-    - `max_attempts`: step attempts after which a run fails.
-    - `scaled`: residuals are over their uncertainty, so that they have the standard deviation 1; where that
-      is not known, whether to scale them to it by what the fit leaves, which takes more residuals than
-      parameters.
-    - `checkpoint`: file of all evaluations; a fit that finds one goes on from it to the same answer. It is
-      of one experiment and solver; start and bounds may change.
-    - `tell`: called with each new line of the history.
+    - `experiment`: the run, and the comparison of its frames with measurements.
+    - `parameters`: the unknown parameters, by name.
+    - `method`: "least-squares": SciPy's trust-region method, with derivatives in forward mode. An Optax
+      optimiser: gradient steps in reverse mode, clipped to the bounds. "root": Brent's method for one
+      residual of one parameter; it needs no derivatives after its start and works across jumps.
+    - `solver`: integrator of the runs, by default `integrator()`.
+    - `max_steps`: largest number of runs, or of optimiser steps.
+    - `rtol`: relative change of the loss or of the parameters at which the fit ends.
+    - `max_attempts`: number of step attempts after which a run fails.
+    - `scaled`: whether to estimate the scale of the residuals from the residuals at the minimum. Use it if
+      the uncertainty is unknown; otherwise divide the residuals by their uncertainty, so that their standard
+      deviation is 1. It requires more residuals than parameters.
+    - `checkpoint`: file that stores all evaluations. A fit continues from an existing file to the same
+      answer. A file belongs to one experiment and solver; start and bounds may change.
+    - `tell`: callback, called with each new row of the history.
 
-    A run whose setup raises ValueError, or whose result is not "success", fails; a fit goes around it where
-    it can.
+    A run fails if its setup raises ValueError or its result is not "success". The fit avoids failed runs
+    where possible.
 
-    **Raises:** ValueError for no parameter, bounds that do not hold the start or, on a logarithmic scale,
-    are not positive, for an unknown method, a setup or residuals that JAX cannot trace, a file of another
-    fit, a first run that fails, or a parameter that does nothing.
+    **Raises:** ValueError if there is no parameter, if the start lies outside the bounds, if bounds on a
+    logarithmic scale are not positive, if the method is unknown, if JAX cannot trace setup or residuals, if
+    the file belongs to another fit, if the first run fails, or if a parameter does not affect the residuals.
     """
     code = _Code(parameters)
     _check_options(method, len(parameters), max_steps, rtol)
@@ -131,8 +134,8 @@ def fit(
         raise ValueError(f"'root' needs one residual for its one parameter, not {evaluations.size}.")
     if scaled and evaluations.size <= len(parameters):
         raise ValueError(
-            f"{evaluations.size} residuals of {len(parameters)} parameters leave nothing to scale by: divide "
-            "them by their uncertainty and leave scaled out."
+            f"scaled=True requires more residuals ({evaluations.size}) than parameters ({len(parameters)}): "
+            "divide the residuals by their uncertainty and omit scaled."
         )
     first = evaluations.residuals(code.start)
     if not np.all(np.isfinite(first)):
@@ -142,7 +145,8 @@ def fit(
     ]
     if idle:
         raise ValueError(
-            f"the residuals do not depend on {idle[0]} at the start: choose another start, or leave it out."
+            f"the residuals do not depend on {idle[0]} at the start: choose another start, or omit "
+            "this parameter."
         )
     if method == "least-squares":
         u, success, message = _least_squares(evaluations, code, max_steps, rtol)
@@ -152,7 +156,7 @@ def fit(
         u, success, message = _descent(evaluations, code, method, max_steps, rtol)
     bound = code.at_bound(u, rtol)
     if bound and success:
-        success, message = False, f"{bound}; widen its bounds, or take what this says of the model."
+        success, message = False, f"{bound}; widen its bounds, or check the model."
     return _result(evaluations, code, u, scaled, success, message)
 
 
@@ -182,7 +186,7 @@ def _check_options(method: Any, parameters: int, max_steps: int, rtol: float) ->
 
 
 class _Code:
-    """Encodes parameters: logarithms of those on a logarithmic scale."""
+    """Encode parameters: take the logarithm of each parameter on a logarithmic scale."""
 
     def __init__(self, parameters: Mapping[str, Parameter]):
         if not isinstance(parameters, Mapping) or not parameters:
@@ -205,12 +209,12 @@ class _Code:
         self.start, self.lower, self.upper = encoded.T
 
     def decoded(self, u: Array | np.ndarray) -> Values:
-        """Values by name."""
+        """Return the parameter values by name."""
         powers = jnp.exp(jnp.where(self.log, u, 0.0))
         return dict(zip(self.parameters, jnp.where(self.log, powers, u), strict=True))
 
     def at_bound(self, u: np.ndarray, rtol: float) -> str:
-        """In words, which parameter is at a bound, if one is."""
+        """Name a parameter that lies at a bound; empty if none does."""
         for index, (name, own) in enumerate(self.parameters.items()):
             near = rtol * (self.upper[index] - self.lower[index])
             for side, bound, value in (("lower", self.lower, own.lower), ("upper", self.upper, own.upper)):
@@ -236,13 +240,13 @@ def _least_squares(evaluations: Evaluations, code: _Code, max_steps: int, rtol: 
     moved = np.clip(found.x + step, code.lower, code.upper) - found.x
     ahead = 0.5 * float(np.sum((found.fun + found.jac @ moved) ** 2))
     if failed is not None and ahead < (1.0 - BARRED * rtol) * found.cost:
-        return found.x, False, f"the way on is barred: {evaluations.trouble(failed)}"
+        return found.x, False, f"a failed run bars the way: {evaluations.trouble(failed)}"
     return found.x, bool(found.success), found.message
 
 
 def _root(evaluations: Evaluations, code: _Code, max_steps: int, rtol: float):
-    """Steps of GROWTH from the start the way that the residual falls, until it changes its sign; then
-    Brent's method."""
+    """Step by GROWTH from the start in the direction in which the residual falls, until it changes sign; then
+    apply Brent's method."""
 
     def residual(u: float) -> float:
         return float(evaluations.residuals(np.array([u]))[0])
@@ -254,7 +258,7 @@ def _root(evaluations: Evaluations, code: _Code, max_steps: int, rtol: float):
     for _ in range(max_steps):
         near, far = far, float(np.clip(far + falls * step, lower, upper))
         if near == far:
-            return np.array([near]), False, "the residual does not change its sign within the bounds."
+            return np.array([near]), False, "the residual does not change sign within the bounds."
         if residual(near) * residual(far) <= 0.0:
             u, told = brentq(residual, near, far, xtol=rtol, maxiter=max_steps, full_output=True, disp=False)
             return np.array([u]), bool(told.converged), f"bracketed to {rtol:g}."
@@ -269,7 +273,7 @@ def _descent(evaluations: Evaluations, code: _Code, method: optax.GradientTransf
         loss = 0.5 * float(residuals @ residuals)
         best = min(best, (loss, np.asarray(u)), key=lambda pair: pair[0])
         if not np.isfinite(loss):
-            return best[1], False, f"{evaluations.trouble(np.asarray(u))}: take shorter steps."
+            return best[1], False, f"{evaluations.trouble(np.asarray(u))}: choose a smaller step size."
         change, memory = method.update(jnp.asarray(evaluations.gradient(np.asarray(u))), memory, u)
         moved = jnp.clip(optax.apply_updates(u, change), code.lower, code.upper)
         still, u = float(jnp.max(jnp.abs(moved - u))) < rtol, moved

@@ -1,4 +1,4 @@
-"""The yield curvature of a sheet from the angle that a fold keeps (Fig. 3b)."""
+"""Calibrate the yield curvature of a sheet from the residual angle of a fold (Fig. 3b)."""
 
 import tempfile
 from collections.abc import Callable, Mapping
@@ -19,18 +19,23 @@ from jaxcrumple.solvers.scheme import Integrator, integrator
 from jaxcrumple.state import initial_state
 
 YIELD = "yield_curvature"
-# The yield curvature to start from, times the gap: the fold then keeps about 100 degrees. And its bounds in
-# 1/m.
+# Initial guess of the yield curvature times the gap, at which a fold retains about 100 degrees; bounds of the
+# yield curvature in 1/m.
 START, BOUNDS = 0.67, (1.0, 5000.0)
-# Deviation in standard deviations from which a fit is taken to have stopped at a jump of the angle, and the
-# relative width to which the root there is bracketed.
+# A larger deviation of the angle, in standard deviations, means that the fit stopped at a jump of the angle;
+# WIDTH is the relative width to which the bracket of the root shrinks there.
 MISSED, WIDTH = 0.1, 1e-5
 
 
 class FoldCalibration(NamedTuple):
-    """What a fold tells: `yield_curvature` in 1/m and its standard deviation `std`; the mean dimensionless
-    yield curvature `c0` of the mesh's hinges and its `c0_std`; the `angle` in rad that the fold then keeps,
-    whether it is the one asked for, `success`, and the `fit`."""
+    """Result of `calibrate_fold`.
+
+    - `yield_curvature`, `std`: yield curvature and its standard deviation in 1/m.
+    - `c0`, `c0_std`: mean dimensionless yield curvature of the hinges, and its standard deviation.
+    - `angle`: angle in rad that the fold retains at this yield curvature.
+    - `success`: whether `angle` lies within one standard deviation of the requested angle.
+    - `fit`: the underlying fit.
+    """
 
     yield_curvature: float
     std: float
@@ -55,19 +60,21 @@ def calibrate_fold(
     checkpoint: str | Path | None = None,
     tell: Callable[[Mapping[str, Any]], None] = lambda row: None,
 ) -> FoldCalibration:
-    """The yield curvature for which the scene `fold` keeps an `angle` in rad between its halves.
+    """Find the yield curvature at which the scene `fold` retains an `angle` in rad between its halves.
 
-    By least squares; and where the angle jumps, since the fold snaps to another shape, by a bracket ("root").
+    Least squares come first. If the angle jumps because the fold snaps to another shape, bracketing ("root")
+    follows.
 
-    **Arguments:** `angle` and its standard deviation `std` in rad; `nodes`, `seed` of the mesh; `start`: the
-    yield curvature to start from and its bounds, in 1/m, by default what leaves some 100 degrees;
-    `method`: which of the two is tried first; `material`: all but the yield point, by default `Material()`;
-    `solver`: by default `integrator(scheme="dynamic")`; `checkpoint`, `tell` as in `fit`.
+    **Arguments:** `angle` and its standard deviation `std` in rad; `nodes`, `seed` of the mesh; `start`:
+    initial guess and bounds of the yield curvature in 1/m, by default a guess that retains about 100 degrees;
+    `method`: "least-squares", or "root" to bracket at once; `material`: all material parameters except the
+    yield curvature, by default `Material()`; `solver`: by default `integrator(scheme="dynamic")`;
+    `checkpoint`, `tell` as in `fit`.
 
-    **Raises:** ValueError for an angle outside (0, pi), or as `fit` does.
+    **Raises:** ValueError for an angle outside (0, pi), and as `fit`.
     """
     if not 0 < angle < np.pi:
-        raise ValueError(f"angle = {angle!r} rad must lie between 0 and pi; 180 degrees are a flat sheet.")
+        raise ValueError(f"angle = {angle!r} rad must lie between 0 and pi; pi is a flat sheet.")
     if not (np.isfinite(std) and std > 0):
         raise ValueError(f"std = {std!r} rad must be a positive angle.")
     gap = default_gap(nodes)
@@ -84,7 +91,7 @@ def calibrate_fold(
 
     experiment = Experiment(run, [TIMES.release, TIMES.end], residuals)
     with tempfile.TemporaryDirectory() as folder:
-        # Nothing in it is so fast that explicit steps would pay.
+        # The motion is too slow for explicit steps to save time.
         options: dict[str, Any] = {
             "solver": solver or integrator(scheme="dynamic"),
             "checkpoint": checkpoint or Path(folder) / "fit.jsonl",
@@ -107,6 +114,6 @@ def calibrate_fold(
 
 
 def _together(first: Fit, second: Fit) -> Fit:
-    """The second of two fits that share their evaluations, with the history of both."""
+    """Return the second of two fits that share evaluations, with the history of both."""
     history = pd.concat([first.history, second.history], ignore_index=True)
     return replace(second, history=history.drop_duplicates(["kind", YIELD], ignore_index=True))

@@ -1,4 +1,4 @@
-"""Properties of a sheet from patterns of its plastic curvature."""
+"""Calibrate material parameters of a sheet from patterns of its plastic curvature."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -16,7 +16,7 @@ from jaxcrumple.simulate import checked_times
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import initial_state
 
-# Root mean square of the residuals in standard deviations from which a minimum is not the one that is sought.
+# Root mean square of the residuals, in standard deviations, above which a minimum is not the global one.
 WRONG = 2.0
 
 
@@ -32,26 +32,25 @@ def calibrate_pattern(
     checkpoint: str | Path | None = None,
     tell: Callable[[Mapping[str, Any]], None] = lambda row: None,
 ) -> Fit:
-    """Numbers of a sheet's material for which its rest curvatures develop as observed.
+    """Find the material parameters that reproduce observed rest curvatures.
 
-    Moments of a hold, in which nothing is driven, tell the time scale of the flow from its threshold. A sheet
-    that buckles another way than the observed one tells nothing, and a fit may end there, without
-    success: start elsewhere then.
+    Include frames from a hold, during which nothing is driven: they separate the time scale of the flow from
+    its threshold. If the simulated sheet buckles differently from the observed one, the fit may end without
+    success; then start from other values.
 
-    **Arguments:** `setup`: the sheet and its material, what confines it and where it starts, e.g. of
-    `radial(..., hold=)`; `times` (f,) of the frames in s, and the rest curvatures seen there, `patterns`
-    (f, h), with the standard deviation `std`, one for all or an array like them; `parameters`: fields of
-    the setup's material to be found, by name, in SI units; all others stay; `solver`, `checkpoint`, `tell`
-    as in `fit`.
+    **Arguments:** `setup`: sheet, material, confinement and initial positions, e.g. from
+    `radial(..., hold=)`; `times` (f,): frame times in s; `patterns` (f, h): rest curvatures observed at these
+    times; `std`: their standard deviation, one number or an array (f, h); `parameters`: unknown fields of the
+    material, by name, in SI units; all other fields stay fixed; `solver`, `checkpoint`, `tell` as in `fit`.
 
-    **Raises:** ValueError for a setup that does not say its material, an elastic sheet, patterns of another
-    shape or not finite, a deviation that is not positive, a name that is no number of the material, or as
-    `fit` does.
+    **Raises:** ValueError for a setup without a material, an elastic sheet, patterns that are not finite or
+    of another shape, a standard deviation that is not positive, a name that is no number of the material, and
+    as `fit`.
     """
     material = setup.material if isinstance(setup, Setup) else None
     if material is None:
         raise ValueError(
-            "setup must be a Setup that says its material: that of a scene such as jaxcrumple.radial(...), "
+            "setup must be a Setup with a material: that of a scene such as jaxcrumple.radial(...), "
             "or Setup(..., material=)."
         )
     seen, moments = np.asarray(patterns, float), checked_times(times)
@@ -64,7 +63,8 @@ def calibrate_pattern(
         )
     if not np.all(np.isfinite(seen)):
         raise ValueError(
-            "patterns hold what is no finite number; give hinges that were not seen a large std."
+            "patterns must be finite numbers; for hinges that were not observed, give any number and a "
+            "large std."
         )
     deviation = np.asarray(std, float)
     if not (np.all(np.isfinite(deviation) & (deviation > 0)) and deviation.shape in ((), shape)):
@@ -89,6 +89,6 @@ def calibrate_pattern(
     found = fit(experiment, parameters, solver=solver, checkpoint=checkpoint, tell=tell)
     spread = np.sqrt(np.mean(found.residuals**2))
     if not spread < WRONG:
-        told = f"the patterns are missed by {spread:.3g} standard deviations: start from another place."
+        told = f"the fit misses the patterns by {spread:.3g} standard deviations: choose another start."
         found = replace(found, success=False, message=told)
     return found

@@ -1,4 +1,4 @@
-"""The command line's `jaxcrumple calibrate`."""
+"""Command `jaxcrumple calibrate`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,7 +7,7 @@ import typer
 
 from jaxcrumple.cli.console import check_place, noted, say
 
-calibrations = typer.Typer(help="Find properties of a sheet from what is measured.", no_args_is_help=True)
+calibrations = typer.Typer(help="Find properties of a sheet from measurements.", no_args_is_help=True)
 
 
 @calibrations.command("fold")
@@ -17,9 +17,9 @@ def calibrate_by_fold(
     seed: Annotated[int, typer.Option(help="Seed of the mesh.")] = 0,
     std: Annotated[float, typer.Option(help="Standard deviation of the angle in degrees.")] = 1.0,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the result to this file.")] = None,
-    checkpoint: Annotated[Path | None, typer.Option(help="File of all runs, from which to go on.")] = None,
+    checkpoint: Annotated[Path | None, typer.Option(help="File of all runs; continued if present.")] = None,
 ) -> None:
-    """Find the yield curvature for which a folded sheet keeps an angle."""
+    """Find the yield curvature at which a folded sheet retains an angle."""
     import math
 
     from jaxcrumple.calibrate import calibrate_fold
@@ -33,9 +33,9 @@ def calibrate_by_fold(
         raise ValueError(f"--std = {std:g} must be a positive angle in degrees.")
     if json_file is not None:
         check_place(json_file, "--json")
-    kept = "no --checkpoint was given, so nothing is kept"
+    kept = "nothing is saved, because no --checkpoint was given"
     if checkpoint is not None:
-        kept = f"the runs so far are kept in {checkpoint}; go on with the same command"
+        kept = f"{checkpoint} keeps the completed runs; go on with the same command"
     with noted(lambda: kept):
         found = calibrate_fold(
             math.radians(target_angle),
@@ -64,14 +64,14 @@ def calibrate_by_fold(
         write_bytes(json_file, json_bytes(result))
     say(
         f"yield curvature {found.yield_curvature:.4g} +- {found.std:.2g} 1/m, c0 = {found.c0:.4g}; the fold "
-        f"then keeps {result['angle_deg']:.4g} degrees ({found.fit.message})"
+        f"then retains {result['angle_deg']:.4g} degrees ({found.fit.message})"
     )
     if not found.success:
-        raise ValueError(f"no yield curvature was found for which the fold keeps {target_angle:g} degrees.")
+        raise ValueError(f"found no yield curvature at which the fold retains {target_angle:g} degrees.")
 
 
 def _tell_evaluation(row) -> None:
-    """A line for each run of a fit that is not known already."""
+    """Print one line for each new run of a fit."""
     if row["kind"] == "residuals" and row["seconds"] > 0.0:
         value, loss, seconds = row["yield_curvature"], row["loss"], row["seconds"]
         say(f"yield curvature {value:.5g} 1/m: loss {loss:.3g}, {seconds:.0f} s")

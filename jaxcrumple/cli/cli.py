@@ -1,4 +1,4 @@
-"""The command line: `jaxcrumple run`, `check`, `calibrate`, `sweep`, `campaign`, `figure` and others."""
+"""Commands `jaxcrumple run`, `check`, `calibrate`, `sweep`, `campaign`, `figure` and others."""
 
 import importlib.metadata
 import shlex
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     help="Simulate thin elastoplastic sheets that fold, buckle and crumple.",
-    epilog="Exit codes: 0 success; 1 a run ended otherwise, or ran out of memory; 2 refused, and the message "
-    "says why; 70 a bug of the program; 130 Ctrl-C; 143 SIGTERM; 141 nobody reads the output.",
+    epilog="Exit codes: 0 success; 1 a run ended without success, or memory ran out; 2 refused, with the "
+    "reason in the message; 70 a bug of the program; 130 Ctrl-C; 143 SIGTERM; 141 the output has no reader.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -41,7 +41,7 @@ def _options(
 
 
 def main() -> None:
-    """Entry point: double precision, and one line and an exit code for whatever ends a command."""
+    """Run the command line in double precision; end every command with one line and an exit code."""
     run_program(app)
 
 
@@ -54,13 +54,13 @@ Seed = Annotated[int | None, typer.Option(help="Seed of mesh and imperfection (d
 Limit = Annotated[
     str | None,
     typer.Option(
-        help="Wall time in s, or with a unit, after which a run ends with the result budget, to go on later; "
-        "compiling does not count."
+        help="Wall time in s, or with a unit, after which a run ends with the result budget; it can be "
+        "resumed. Compile time does not count."
     ),
 ]
 Setting = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="An option of scene, material or solver; may repeat."),
+    typer.Option("--set", metavar="KEY=VALUE", help="An option of scene, material or solver; repeatable."),
 ]
 
 
@@ -109,7 +109,7 @@ def run(
 
 
 def _seconds(limit: str | None) -> float | None:
-    """Wall time in s of an option."""
+    """Convert --max-seconds to a wall time in s."""
     from jaxcrumple._jax.tree import require_limit
     from jaxcrumple.options.units import TIME
 
@@ -124,12 +124,12 @@ def _seconds(limit: str | None) -> float | None:
 
 
 def _command(*words: Any) -> str:
-    """A command as one types it."""
+    """Format a command for the shell."""
     return shlex.join(["jaxcrumple", *map(str, words)])
 
 
 def _resume_command(scene: str, folder: Path, asked: dict[str, Any], settings: Sequence[str] | None) -> str:
-    """The command that goes on with a run; it repeats what replaces values of a scene file."""
+    """Return the command that resumes a run; it repeats the options that replace values of a scene file."""
     repeated: list[Any] = []
     if _is_file(scene):
         for key, value in asked.items():
@@ -140,7 +140,7 @@ def _resume_command(scene: str, folder: Path, asked: dict[str, Any], settings: S
 
 
 def _kept(folder: Path, go_on: str) -> str:
-    """What is left of a run that was broken off."""
+    """Describe what an interrupted run has saved, and how to resume it."""
     saved = (folder / "run.json").exists()
     return f"what was saved is kept; go on with: {go_on}" if saved else "nothing was saved yet"
 
@@ -153,9 +153,9 @@ def check(
     seed: Seed = None,
     settings: Setting = None,
 ) -> None:
-    """Say what a scene or a scene file will run and what that takes; build it and say what pushes its start.
+    """Describe a run and estimate its cost; build its scene and report forces at the start.
 
-    No run is compiled, only the forces at the start.
+    This compiles only the forces at the start, not the run.
     """
     from jaxcrumple.run.check import check_built, described
 
@@ -178,7 +178,7 @@ def _is_file(scene: str) -> bool:
 
 
 def _asked(scene: str, settings: list[str] | None, top: dict[str, Any]) -> "RunConfig":
-    """The configuration of a scene or a scene file, with what else is given."""
+    """Configure a scene or a scene file with the options of the command."""
     from jaxcrumple.run.config import configure
     from jaxcrumple.run.scene_file import read_scene_file
 
@@ -204,7 +204,7 @@ def sweep(
     scheduler: SchedulerAddress = None,
     max_seconds: Limit = None,
 ) -> None:
-    """Run a scene over a grid of its numbers, and write all outcomes to one netCDF file."""
+    """Run a scene over a grid of option values, and write all results to one netCDF file."""
     from jaxcrumple.io.atomic import write_bytes
     from jaxcrumple.simulate import frame_times
     from jaxcrumple.sweep.file import read_sweep
@@ -216,7 +216,7 @@ def sweep(
         raise ValueError(f"{path} exists; give another --out, or remove it.")
     check_place(path, "--out")
     again = _command("campaign", file)
-    with noted(lambda: f"a sweep keeps nothing before its end; what keeps each run is: {again}"):
+    with noted(lambda: f"a sweep saves nothing before its end; to save each run, use: {again}"):
         table = sweep(
             asked.scene,
             asked.over,
@@ -239,7 +239,7 @@ def campaign(
     scheduler: SchedulerAddress = None,
     max_seconds: Limit = None,
 ) -> None:
-    """Run a scene over a grid, each run into a folder of its own; again: only what is missing."""
+    """Run a scene over a grid, one resumable run folder per case; run again to complete the missing ones."""
     from jaxcrumple.sweep import campaign, grid
     from jaxcrumple.sweep.file import read_sweep
 
@@ -259,16 +259,16 @@ def figure(
     out: Annotated[
         Path | None, typer.Option(help="Folder of runs and pictures (default: figures/NAME).")
     ] = None,
-    full: Annotated[bool, typer.Option("--full", help="At the paper's size, not that of a laptop.")] = False,
+    full: Annotated[bool, typer.Option("--full", help="Use the paper's size instead of a laptop's.")] = False,
 ) -> None:
-    """Do the runs of a figure of the paper that its folder lacks, and draw it."""
+    """Draw a figure of the paper; first complete the runs that its folder lacks."""
     from jaxcrumple.options.suggest import nearest
     from jaxcrumple.paper import FIGURES, make_figure
 
     if name not in FIGURES:
         raise ValueError(f"figure {name!r} is unknown{nearest(name, FIGURES)}")
     folder = out or Path("figures") / (f"{name}_full" if full else name)
-    with noted(lambda: f"the runs that have ended are kept in {folder}; go on with the same command"):
+    with noted(lambda: f"{folder} keeps the completed runs; go on with the same command"):
         for path in make_figure(FIGURES[name], folder, full=full, tell=_tell_case):
             say(str(path))
 
@@ -314,7 +314,7 @@ def _print_options(model) -> None:
 
 @app.command()
 def plot(folder: Annotated[Path, typer.Argument(help="Folder of a run, finished or not.")]) -> None:
-    """Draw the pictures of a run again, and write its film for ParaView."""
+    """Draw the pictures of a run again, and write its frames for ParaView."""
     from jaxcrumple.io import RunDirectory
     from jaxcrumple.run.run import film
 
@@ -325,7 +325,7 @@ def plot(folder: Annotated[Path, typer.Argument(help="Folder of a run, finished 
 
 @app.command()
 def verify(folder: Annotated[Path, typer.Argument(help="Folder of a run, or of several.")]) -> None:
-    """Compare all files of a run with their checksums. Nothing is changed."""
+    """Compare all files of a run with their checksums; change nothing."""
     from jaxcrumple.io import RunDirectory, verify_runs
 
     found = verify_runs(folder)
@@ -335,14 +335,14 @@ def verify(folder: Annotated[Path, typer.Argument(help="Folder of a run, or of s
         for cause in wrong.values():
             say(f"  {cause}")
         if wrong:
-            say(f"  go back to what is sound: jaxcrumple repair {place}")
+            say(f"  return to the last undamaged checkpoint: jaxcrumple repair {place}")
     if any(found.values()):
         raise typer.Exit(1)
 
 
 @app.command()
 def repair(folder: Annotated[Path, typer.Argument(help="Folder of a run.")]) -> None:
-    """Take a damaged run back to the last moment at which all of it is sound, to go on from there."""
+    """Return a damaged run to its last undamaged checkpoint, so that it can be resumed."""
     from jaxcrumple.io import RunDirectory
     from jaxcrumple.run.run import repair_run
 
@@ -354,7 +354,7 @@ def repair(folder: Annotated[Path, typer.Argument(help="Folder of a run.")]) -> 
     counts, scene = run.counts, run.config["scene"]
     say(f"{counts.frames} frames and {counts.history_rows} rows of history are left")
     if pictures := sorted(path.name for path in folder.glob("*.png")):
-        say(f"drawn before that: {', '.join(pictures)}")
+        say(f"pictures from before the repair: {', '.join(pictures)}")
     say(f"{folder} is at t = {t:.4g} s again; go on with: jaxcrumple run {scene} --resume --out {folder}")
 
 

@@ -1,4 +1,4 @@
-"""What the command says on its way out: one line for whatever ended it, and the code to exit with."""
+"""End the command with one line that explains its end, and an exit code."""
 
 import errno
 import importlib.metadata
@@ -25,18 +25,18 @@ from jaxcrumple.sweep.cluster import WorkersLostError
 
 console = Console()
 
-# Exit codes, beside 0: a run that ended otherwise than in success, what cannot be done as it was asked, a bug
-# of the program. A signal's is 128 and its number.
+# Exit codes besides 0: a run ended without success, the command was refused, a bug of the program. A signal
+# gives 128 plus its number.
 ENDED, REFUSED, BUG = 1, 2, 70
 SIGNALED = 128
-# Signals that stop the command as Ctrl-C does. Programs such as `timeout` send theirs twice: one that comes
-# within so many seconds of the first is no impatience.
+# Signals that stop the command like Ctrl-C. Programs such as `timeout` send a signal twice, so a second one
+# within GRACE seconds of the first does not kill the process.
 SIGNALS, GRACE = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP), 2.0
 LESS = "take fewer --nodes, fewer cases side by side, or a machine with more"
 
 
 class Stopped(BaseException):
-    """A signal that stops the command; no KeyboardInterrupt, for libraries answer that themselves."""
+    """A signal stops the command. Not a KeyboardInterrupt, because libraries catch that themselves."""
 
     def __init__(self, number: int):
         super().__init__(signal.Signals(number).name)
@@ -44,11 +44,11 @@ class Stopped(BaseException):
 
 
 class Hint(str):
-    """A note on an exception that says how to go on; libraries add notes of their own."""
+    """A note on an exception that tells how to go on; the type distinguishes it from notes of libraries."""
 
 
 class OutputLostError(Exception):
-    """Standard output that takes no more; not OSError, for the same reason."""
+    """Writing to standard output failed. Not an OSError, because libraries catch that themselves."""
 
     def __init__(self, error: OSError):
         super().__init__(error.strerror or str(error))
@@ -56,14 +56,14 @@ class OutputLostError(Exception):
 
 
 def say(text: str, style: str | None = None) -> None:
-    """A line on standard output, as it is: no markup, no line breaks of its own."""
+    """Print a line to standard output unchanged, without markup or wrapping."""
     console.print(one_line(text), style=style, markup=False, emoji=False, highlight=False, soft_wrap=True)
 
 
 @contextmanager
 def noted(words: Callable[[], str]) -> Iterator[None]:
-    """Say `words()`, how to go on, of what ends the command inside, unless that is a refusal, which says it
-    itself."""
+    """Add the note `words()`, on how to go on, to an exception raised inside. A refusal (ValueError) gets no
+    note, because its own message tells the cure."""
     try:
         yield
     except (ValueError, typer.Exit):
@@ -74,7 +74,7 @@ def noted(words: Callable[[], str]) -> Iterator[None]:
 
 
 def check_place(path: Path, option: str) -> None:
-    """Refuse a file that cannot be written, before any work for it."""
+    """Refuse a file that cannot be written, before any work starts."""
     folder = path.absolute().parent
     if path.is_dir():
         raise ValueError(f"{path} is a folder; give {option} a file.")
@@ -82,11 +82,11 @@ def check_place(path: Path, option: str) -> None:
         with tempfile.TemporaryFile(dir=folder):
             return
     except OSError as error:
-        raise ValueError(f"{folder} is no folder that may be written; give another {option}.") from error
+        raise ValueError(f"cannot write to {folder}; choose another {option}.") from error
 
 
 def run_program(app: Callable[[], Any]) -> NoReturn:
-    """Call a program of Typer's, say what ended it, and exit."""
+    """Call a Typer program, print the cause of its end, and exit."""
     jax.config.update("jax_enable_x64", True)
     with _stoppable(), _guarded_output(), warnings.catch_warnings():
         warnings.showwarning = _shown_once()
@@ -99,7 +99,7 @@ def run_program(app: Callable[[], Any]) -> NoReturn:
 
 
 def _shown_once() -> Callable[..., None]:
-    """Show warnings in a line each, those of the same text once."""
+    """Return a handler that shows each distinct warning once, in one line."""
     seen: set[str] = set()
 
     def show(message: Warning | str, *_: Any) -> None:
@@ -111,8 +111,8 @@ def _shown_once() -> Callable[..., None]:
 
 
 def keep_programs() -> None:
-    """Keep compiled programs between runs, unless the user chose a place, or there is none."""
-    # A cache that cannot be read or written costs time and nothing else.
+    """Enable the persistent compilation cache, unless the user configured it or no folder is writable."""
+    # An unusable cache only costs time.
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache")
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
@@ -127,7 +127,7 @@ def keep_programs() -> None:
 
 
 def _called(app: Callable[[], Any]) -> int:
-    """The code that a program ends with."""
+    """Call the program and return its exit code."""
     try:
         app()
     except SystemExit as end:
@@ -136,11 +136,11 @@ def _called(app: Callable[[], Any]) -> int:
 
 
 def _told(error: BaseException) -> int:
-    """Say on standard error what ended the program; the code for it."""
+    """Print to standard error what ended the program, and return the exit code."""
     text, code = explained(error)
     if code == BUG:
         _complain("".join(traceback.format_exception(error)).rstrip(), lines=True)
-    # A traceback has the notes already.
+    # A traceback already shows the notes.
     notes = [] if code == BUG else getattr(error, "__notes__", [])
     hints = [note for note in notes if isinstance(note, Hint)]
     words = "; ".join(part for part in (text, *hints) if part)
@@ -150,7 +150,7 @@ def _told(error: BaseException) -> int:
 
 
 def explained(error: BaseException) -> tuple[str, int]:
-    """What ended the program in words, with a cure where one is known, and the code to exit with."""
+    """Return the cause of the end, with a cure if one is known, and the exit code."""
     match error:
         case Stopped() | KeyboardInterrupt():
             number = error.number if isinstance(error, Stopped) else signal.SIGINT
@@ -168,10 +168,10 @@ def explained(error: BaseException) -> tuple[str, int]:
         case UnicodeError():
             return f"error: a text or name is no valid Unicode{_more(error)}; give it in UTF-8", REFUSED
         case RecursionError():
-            return "error: what was given is nested too deeply; give it with fewer levels", REFUSED
+            return "error: the input is nested too deeply; give it with fewer levels", REFUSED
         case ArithmeticError():
             what = f"({type(error).__name__}: {error}, in {_place(error)})"
-            cure = "look at the powers of ten of what was given"
+            cure = "check the powers of ten of the input"
             return f"error: a number is too large or too small to compute with {what}; {cure}", REFUSED
         case OSError() if error.strerror:
             return f"error: {_file(error)}{error.strerror}; {_cure(error)}", REFUSED
@@ -180,24 +180,24 @@ def explained(error: BaseException) -> tuple[str, int]:
     if trouble := _backend_trouble():
         return f"error: JAX has no device to run on ({trouble}); unset JAX_PLATFORMS", REFUSED
     return (
-        f"error: this is a bug of jaxcrumple, or of a library under it: {type(error).__name__}: {error}. "
+        f"error: this is a bug of jaxcrumple, or of a library that it uses: {type(error).__name__}: {error}. "
         f"Please report it with the lines above, the command, and the versions: {_versions()}",
         BUG,
     )
 
 
 def _backend_trouble() -> str:
-    """Why JAX has no device, as where JAX_PLATFORMS names one that this machine lacks; empty where it has."""
+    """Return why JAX has no device, e.g. JAX_PLATFORMS names a missing platform; empty if it has one."""
     try:
         jax.devices()
     except (RuntimeError, AssertionError) as error:
         lines = str(error).splitlines()
-        return lines[0] if lines else "none of its platforms is here"
+        return lines[0] if lines else "none of its platforms is available"
     return ""
 
 
 def _more(error: BaseException) -> str:
-    """The first line of an error's message in brackets, where it has one."""
+    """Return the first line of an error's message in brackets; empty without a message."""
     lines = str(error).splitlines()
     return f" ({lines[0]})" if lines else ""
 
@@ -214,25 +214,25 @@ def _cure(error: OSError) -> str:
         errno.EMFILE: "raise the limit on open files (ulimit -n)",
         errno.EACCES: "change its permissions, or choose another place",
         errno.EPERM: "change its permissions, or choose another place",
-        errno.EROFS: "choose a place on a disk that may be written",
+        errno.EROFS: "choose a place on a writable disk",
     }
     return cures.get(error.errno or 0, "check the path and the disk; what was saved before is intact")
 
 
 def _is_ours(error: ValueError) -> bool:
-    """Whether a ValueError is a refusal: one that this package raised, with cause and cure. Those of other
-    packages are what it should have refused before."""
+    """Return whether this package raised a ValueError, i.e. a refusal with cause and cure. A ValueError of
+    another package is a bug: this package should have refused the input."""
     return type(error).__module__.startswith("jaxcrumple") or _raiser(error).startswith("jaxcrumple")
 
 
 def _raiser(error: BaseException) -> str:
-    """The module that raised."""
+    """Return the name of the module that raised the error."""
     frames = list(traceback.walk_tb(error.__traceback__))
     return str(frames[-1][0].f_globals.get("__name__")) if frames else ""
 
 
 def _place(error: BaseException) -> str:
-    """File and line of the last call in this package."""
+    """Return file and line of the last call in this package."""
     frames = traceback.extract_tb(error.__traceback__)
     ours = [frame for frame in frames if "jaxcrumple" in Path(frame.filename).parts] or frames
     return f"{Path(ours[-1].filename).name}, line {ours[-1].lineno}" if ours else "an unknown place"
@@ -244,7 +244,7 @@ def _versions() -> str:
 
 
 def _complain(text: str, style: str | None = "red", lines: bool = False) -> None:
-    """Write to standard error, where there is one."""
+    """Write to standard error, if there is one."""
     error = Console(stderr=True)
     try:
         error.print(
@@ -255,12 +255,12 @@ def _complain(text: str, style: str | None = "red", lines: bool = False) -> None
             highlight=False,
             soft_wrap=True,
         )
-    except (OSError, SystemExit):  # Rich answers a broken pipe by SystemExit.
+    except (OSError, SystemExit):  # Rich raises SystemExit on a broken pipe.
         return
 
 
 class _Stop:
-    """Raises `Stopped` at the first signal; one that comes after a while ends the process at once."""
+    """Raise `Stopped` at the first signal; a signal more than GRACE seconds later kills the process."""
 
     def __init__(self) -> None:
         self.first: float | None = None
@@ -277,7 +277,7 @@ class _Stop:
 
 @contextmanager
 def _stoppable() -> Iterator[None]:
-    """Let signals raise `Stopped` inside, except those that whoever started this process wants ignored."""
+    """Let signals raise `Stopped` inside, except those that the parent process set to be ignored."""
     stop = _Stop()
     wanted = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
     before = {number: signal.signal(number, stop) for number in wanted}
@@ -289,7 +289,7 @@ def _stoppable() -> Iterator[None]:
 
 
 class _Output:
-    """A stream whose failures are `OutputLostError`."""
+    """A stream that raises `OutputLostError` if writing fails."""
 
     def __init__(self, stream: Any):
         self.stream = stream
@@ -312,7 +312,7 @@ class _Output:
 
 @contextmanager
 def _guarded_output() -> Iterator[None]:
-    """Let standard output fail as `OutputLostError` inside, and show what its encoding lacks as escapes."""
+    """Raise `OutputLostError` inside if standard output fails; escape characters that its encoding lacks."""
     stream = sys.stdout
     if hasattr(stream, "reconfigure"):
         stream.reconfigure(errors="backslashreplace")
@@ -323,6 +323,6 @@ def _guarded_output() -> Iterator[None]:
         sys.stdout = stream
         try:
             stream.flush()
-        except OSError:  # Python would say so again as it ends.
+        except OSError:  # Python would report it again at exit.
             with open(os.devnull, "w") as nowhere:
                 os.dup2(nowhere.fileno(), stream.fileno())

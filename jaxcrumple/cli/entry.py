@@ -1,4 +1,4 @@
-"""The first moments of the command `jaxcrumple`, before seconds of imports: streams, folder, Ctrl-C."""
+"""Prepare the process of the command `jaxcrumple` before seconds of imports: streams, folder, Ctrl-C."""
 
 import os
 import signal
@@ -6,8 +6,10 @@ import sys
 
 
 def prepare() -> None:
-    """Where this process is the command, and no program of the user's: fill closed streams, refuse to start
-    in a deleted folder, and let Ctrl-C end the imports that follow without a traceback. `console` takes over.
+    """Prepare the process if it runs the command, not a program of the user.
+
+    Open closed standard streams, refuse to start in a deleted folder, and let Ctrl-C end the imports without
+    a traceback. `console` handles signals afterwards.
     """
     if _is_command():
         _fill_streams()
@@ -18,13 +20,13 @@ def prepare() -> None:
 
 def _is_command() -> bool:
     program = os.path.basename(sys.argv[0]) if getattr(sys, "argv", None) else ""
-    # As long as Python looks for the module of its option -m, that is all it has as the program's name.
+    # While Python locates the module of its option -m, sys.argv[0] is "-m".
     return program == "jaxcrumple" or (program == "-m" and "jaxcrumple" in sys.orig_argv)
 
 
 def _fill_streams() -> None:
-    """Open what is closed of the standard streams as the null device: else the first files that the program
-    opens take their numbers, and get what C libraries print."""
+    """Open closed standard streams as the null device. Otherwise the first files that the program opens get
+    their file descriptors, and receive the output of C libraries."""
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(number, True)
     os.close(number)
@@ -34,7 +36,7 @@ def _fill_streams() -> None:
 
 
 def _check_folder() -> None:
-    """Refuse to start where relative paths lead nowhere."""
+    """Refuse to start in a working directory that does not exist, where relative paths fail."""
     try:
         os.getcwd()
     except OSError as error:

@@ -1,7 +1,8 @@
-"""Which pairs of sites in the lists interact here and now, and which pairs of triangles may touch.
+"""The active set: the site pairs that interact now, and the pairs of triangles that may touch.
 
-The third tier, below those of `jaxcrumple.contact.lists`: a list of sites holds for dozens of explicit steps,
-in each of which most of its pairs are out of range. `Active` tells those apart that may come within it soon.
+This is the third tier, below the two of `jaxcrumple.contact.lists`. A list of site pairs is valid for dozens
+of explicit steps, but most of its pairs are out of range in each of them. `Active` keeps only the pairs that
+may come within range in the next steps.
 """
 
 from functools import reduce
@@ -19,19 +20,21 @@ from jaxcrumple.geometry.hinge import add, dot, gather, scale
 if TYPE_CHECKING:
     from jaxcrumple.contact.energy import Contact
 
-# Guards the distance of two sites, m2: far below any distance that matters here.
+# Offset of squared distances of sites in m2 against a zero root, far below any squared distance that matters.
 TINY = 1e-30
-# Room for motion that a tangent which is to hold for a while leaves: distances are so much of what they are.
+# Factor on the distances for the tangent of `Contact.nearer_product`: the stability limit that follows from
+# it must remain valid while sites approach further.
 CLOSER = 0.98
-# Pairs that are looked at together: of sites, by how far apart they were or are, and of triangles.
+# Pairs per chunk: site pairs in the test of listed distances and of current distances, pairs of triangles.
 LISTED, SIFTED, TRIANGLES = 4096, 1024, 1024
 
 
 class Active(eqx.Module):
-    """What a list of sites holds for small motions `around` positions where it holds itself.
+    """Hold the part of a `Near` list that matters for the small motions `around`, for which `Near` is valid.
 
-    `picked` (P,): pairs as `Near.picked`, the first `count` of which may interact, -1 where they are yet to
-    be found; `doubted` (T,): places of pairs of triangles, the first `doubted_count` of which may touch.
+    `picked` (P,): site pairs as in `Near.picked`; the first `count` may interact; `count` is -1 before the
+    pairs are found. `doubted` (T,): places of pairs of triangles in `Near.triangles`; the first
+    `doubted_count` may touch.
     """
 
     picked: Array
@@ -42,14 +45,14 @@ class Active(eqx.Module):
 
 
 def no_active(n: int, sites: int, room: Room) -> Active:
-    """One that has yet to be found, for so many `sites` a triangle."""
+    """Return an empty active set, marked as not yet found, for `n` nodes and `sites` sites per triangle."""
     picked = jnp.zeros(room.pairs, place_type(room.sites * sites))
     doubted, zero = jnp.zeros(room.triangles, jnp.int32), jnp.asarray(0, int)
     return Active(picked, jnp.asarray(-1, int), doubted, zero, nowhere(n))
 
 
 def find_active(contact: "Contact", around: Around) -> Active:
-    """Those that may interact or touch in any of some motions, for which the list of sites must hold too."""
+    """Find the pairs that may interact or touch within the motions `around`, which `contact.near` covers."""
     contact, around = jax.lax.stop_gradient((contact, around))
     near, faces = contact.near, contact.faces
     moves = near.nearer(faces, around.reach)
@@ -60,31 +63,38 @@ def find_active(contact: "Contact", around: Around) -> Active:
 
 
 def likely(contact: "Contact", x: Array) -> tuple[Array, Array]:
-    """Pairs of sites (P,) as in `Near.picked` among which are all that interact at positions `x` (n, 3), and
-    how many they are."""
+    """Return a superset (P,) of the site pairs that interact at positions `x` (n, 3), and its size.
+
+    Entries are those of `Near.picked`. An active set, if present, is returned as it is.
+    """
     if contact.active is not None:
         return contact.active.picked, contact.active.count
     return _roughly(contact, x, contact.range)
 
 
 def interacting(contact: "Contact", x: Array, nearer: float = 1.0) -> tuple[Array, Array]:
-    """Those that interact at positions `x` (n, 3), or would if distances were so much `nearer`: the same ones
-    whenever the lists were made."""
+    """Return the site pairs (P,) that interact at positions `x` (n, 3), and how many there are.
+
+    `nearer` multiplies the distances. The result does not depend on when the lists were built.
+    """
     limit = contact.range / nearer
     rough = likely(contact, x) if nearer == 1.0 else _roughly(contact, x, limit)
     return _sifted(contact, x, rough, limit)
 
 
 def may_touch(contact: "Contact", *positions: Array) -> tuple[Array, Array]:
-    """Places (T,) of pairs of triangles among which are all that may touch between `positions` (n, 3), and
-    how many they are."""
+    """Return a superset (T,) of the pairs of triangles that may touch, and its size.
+
+    Nodes move between `positions` (n, 3). Entries are places in `Near.triangles`.
+    """
     if contact.active is not None:
         return contact.active.doubted, contact.active.doubted_count
     return _within(contact.near, contact.near.moved(contact.faces, *positions))
 
 
 def _within(near: Near, moves: Array) -> tuple[Array, Array]:
-    """Places of pairs of triangles that may touch where their points come nearer by `moves` (T,) m."""
+    """Return the places (T,) of pairs of triangles that may touch if they approach by `moves` (T,) m, and how
+    many there are."""
     return compacted(
         lambda at: (near.distance[at] <= moves[at])[:, None],
         near.pair_count, 1, near.room.triangles, TRIANGLES,
@@ -92,8 +102,11 @@ def _within(near: Near, moves: Array) -> tuple[Array, Array]:
 
 
 def _roughly(contact: "Contact", x: Array, limit: Array) -> tuple[Array, Array]:
-    """Pairs of sites that may be as near as a `limit` in m, one for all or (T,), at positions `x` (n, 3):
-    nine in ten are told by how far they were apart and how far their triangles have moved."""
+    """Return the site pairs that may be closer than `limit` in m, () or (T,), at positions `x` (n, 3).
+
+    The bound uses the distances at the last rebuild and how far the triangles have moved since. It rejects
+    nine pairs in ten without computing their current distance.
+    """
     contact, x, limit = jax.lax.stop_gradient((contact, x, limit))
     near = contact.near
     reach = limit + near.moved(contact.faces, x)
@@ -105,7 +118,7 @@ def _roughly(contact: "Contact", x: Array, limit: Array) -> tuple[Array, Array]:
 
 
 def _sifted(contact: "Contact", x: Array, rough: tuple[Array, Array], limit: Array) -> tuple[Array, Array]:
-    """Those of `rough` that are as near by their distance, which takes longer to tell."""
+    """Return the pairs of `rough` that are closer than `limit` by their current distance."""
     contact, x, limit = jax.lax.stop_gradient((contact, x, limit))
     picked, count = rough
 
@@ -118,8 +131,12 @@ def _sifted(contact: "Contact", x: Array, rough: tuple[Array, Array], limit: Arr
 
 
 class SitePairs(NamedTuple):
-    """Pairs of sites: `nodes` (p, 6) of their triangles and their `weights` in $r_{12}$, `strength`: the
-    product of their areas over $a_0^2$, 0 where there is no pair, and `owner`: place in `Near.triangles`."""
+    """Hold p site pairs.
+
+    `nodes` (p, 6): of the two triangles; `weights` (p, 6): of these nodes in $r_{12}$; `strength` (p,):
+    product of the two site areas over $a_0^2$, or 0 for an unused entry; `owner` (p,): place in
+    `Near.triangles`.
+    """
 
     nodes: Array
     weights: Array
@@ -128,7 +145,7 @@ class SitePairs(NamedTuple):
 
 
 def site_pairs(contact: "Contact", picked: Array, held: Array) -> SitePairs:
-    """Pairs of sites (p,) as in `Near.picked`, of which those `held` (p,) are valid."""
+    """Return the site pairs `picked` (p,), entries of `Near.picked`; those not `held` (p,) get strength 0."""
     near, sites = contact.near, contact.weights.shape[0]
     at, other = split(picked, sites)
     owner, site = split(near.found[at], sites)
@@ -143,7 +160,7 @@ def site_pairs(contact: "Contact", picked: Array, held: Array) -> SitePairs:
 
 
 def separation(pairs: SitePairs, x: Array) -> tuple[Array, Array]:
-    """$r_{12}$ (p, 3) of (26) and its length."""
+    """Return $r_{12}$ (p, 3) of (26) in m and its length (p,)."""
     corners = gather(x, pairs.nodes)
     parts = [scale(pairs.weights[:, k], corner) for k, corner in enumerate(corners)]
     r = reduce(add, parts)
@@ -151,5 +168,6 @@ def separation(pairs: SitePairs, x: Array) -> tuple[Array, Array]:
 
 
 def with_push(forces: Array, pairs: SitePairs, push: Array) -> Array:
-    """Nodal `forces` (n, 3) with those of a `push` (p, 3) on the first site of each pair, and back."""
+    """Add to nodal `forces` (n, 3) the force `push` (p, 3) on the first site of each pair and its reaction on
+    the second."""
     return forces.at[pairs.nodes].add(pairs.weights[:, :, None] * push[:, None])

@@ -1,4 +1,4 @@
-"""Triangles that share a node, and the hinges that must fold for them to meet."""
+"""Pairs of triangles that share a node, and the hinges that must fold before the two can touch."""
 
 import itertools
 
@@ -10,22 +10,24 @@ from jax import Array
 from jaxcrumple._jax.memory import require
 from jaxcrumple.mesh.mesh import Mesh
 
-# Bytes of a way around a node while it is found, and of a hinge in the table of all nodes.
+# Bytes of a way around a node during construction, and of a hinge in the table of all nodes.
 WAY, ENTRY = 200.0, 12.0
-# Two sites on triangles that share a node come nearer than half of their distance at rest only if the sheet
+# Two sites on triangles that share a node come closer than half of their distance at rest only if the sheet
 # between them turns by 120 degrees: a polygon's chord is at least its length times the cosine of half its
-# turning (Schur), and the rest is room for stretching. Folds are listed from LISTED_TURN on; those that are
-# not must not pass MOST_TURN, and a new list is due before. In the matrix they have a place from PLACED_TURN
-# on.
+# turning (Schur). All thresholds are lower, as a margin for stretching. The candidates include ways that turn
+# by more than LISTED_TURN. A way that is not listed must not exceed MOST_TURN; the list is rebuilt before, at
+# DUE_TURN. The merged matrix has entries for ways from PLACED_TURN on.
 PLACED_TURN, LISTED_TURN, DUE_TURN, MOST_TURN = np.deg2rad([60.0, 80.0, 95.0, 115.0])
 
 
 class Fans(eqx.Module):
-    """Pairs of triangles at a node, by the way around the node from one to the other.
+    """Hold the pairs of triangles at each node, one entry per way around the node from one to the other.
 
-    `triangles` (w, 2), first below second, of each way; `hinges` (n, k): those around each node in order,
-    twice where they close, padded with the number of hinges; `ends` (w, 2): where a way begins and ends
-    among them, as places in (n, k + 1); `longest`: most hinges on a way.
+    - `triangles` (w, 2): the pair of each way, lower index first.
+    - `hinges` (n, k): the hinges around each node in order, twice if the fan is closed, padded with the
+      number of hinges.
+    - `ends` (w, 2): start and end of each way among these hinges, as flat indices into (n, k + 1).
+    - `longest`: largest number of hinges on a way.
     """
 
     triangles: Array
@@ -34,9 +36,9 @@ class Fans(eqx.Module):
     longest: Array
 
     def turning(self, theta: Array) -> Array:
-        """By how much (w,) the sheet turns along each way where hinges have angles `theta` (h,)."""
+        """Return the total turn (w,) in rad along each way, for hinge angles `theta` (h,) in rad."""
         angles = jnp.append(jnp.abs(theta), 0.0)
-        # One sum around each node serves all ways there, of which there are thirty.
+        # One cumulative sum around a node serves all its ways, about thirty.
         turned, before = jnp.zeros(self.hinges.shape[0]), []
         for k in range(self.hinges.shape[1]):
             before.append(turned)
@@ -46,16 +48,17 @@ class Fans(eqx.Module):
 
 
 def largest_turn(turning: Array, left_out: Array) -> Array:
-    """Largest of the turns `turning` (w,) in rad, some of them `left_out` (w,)."""
+    """Return the largest of the turns `turning` (w,) in rad, without the ways flagged in `left_out` (w,)."""
     return jnp.max(jnp.where(left_out, 0.0, turning), initial=0.0)
 
 
 def build_fans(mesh: Mesh) -> Fans:
-    """All ways around every node; one of half a turn or more, which no straight line takes, crosses nothing.
+    """Build all ways around every node.
 
-    Meshes of the same connectivity have fans of the same size.
+    A way of 180 degrees or more around an inner node is not the shortest: it gets no hinges, so that its turn
+    is 0. Meshes of the same connectivity have fans of the same size.
 
-    **Raises:** ValueError for so many triangles at a node that the ways around it exceed the memory.
+    **Raises:** ValueError if the ways around a node with very many triangles exceed the memory.
     """
     valence = np.bincount(mesh.faces.ravel()).astype(float)
     node, most = int(np.argmax(valence)), float(valence.max())
@@ -89,7 +92,7 @@ def build_fans(mesh: Mesh) -> Fans:
 
 
 def _corner_angles(mesh: Mesh) -> np.ndarray:
-    """Angles (f, 3) of the triangles at rest."""
+    """Return the corner angles (f, 3) in rad of the triangles at rest."""
     x = mesh.vertices[mesh.faces]
     one, two = np.roll(x, -1, axis=1) - x, np.roll(x, 1, axis=1) - x
     cosine = np.sum(one * two, axis=2) / (np.linalg.norm(one, axis=2) * np.linalg.norm(two, axis=2))
@@ -104,8 +107,9 @@ def _hinge_table(mesh: Mesh) -> dict[tuple[int, int], int]:
 
 
 def _fans(mesh: Mesh, angles: np.ndarray):
-    """Triangles around each node in order, their angles there, and whether the last meets the first."""
-    # In a triangle (i, j, k) that is turned about i, the next one in the fan of i is that across (i, k).
+    """Yield for each node the triangles around it in order, their angles there in rad, and whether the fan is
+    closed."""
+    # In a triangle written as (i, j, k), the next triangle in the fan of i lies across the edge (i, k).
     following = [dict[int, tuple[int, int, float]]() for _ in range(mesh.n_nodes)]
     for face, corners in enumerate(mesh.faces.tolist()):
         for k in range(3):

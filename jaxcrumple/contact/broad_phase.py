@@ -1,8 +1,9 @@
-"""Candidate pairs of triangles by a grid, inside a compiled program: what a tree on the host finds otherwise.
+"""Broad phase on a grid, traced: find candidate pairs of triangles inside a compiled program.
 
-Triangles are sorted by the cell that their centre lies in. A cell is as wide as the centres of two triangles
-that may meet are apart at most, so that all partners of a triangle lie in the cells around its own: nine rows
-of three cells that follow one another. A pair is met once, from the triangle that comes first.
+`jaxcrumple.contact.host_broad_phase` finds the same pairs with a tree on the host. Triangles are sorted by
+the grid cell of their centre. The cell width is the largest centre distance of two triangles that may
+interact. All partners of a triangle thus lie in its own cell and the 26 around it: nine rows of three
+consecutive cells. Each pair is visited once, from the triangle that comes first in this order.
 """
 
 from collections.abc import Callable
@@ -20,15 +21,18 @@ from jaxcrumple.contact.lists import EXCLUSION, NONE, Around, Candidates, pair_k
 from jaxcrumple.geometry.distance import TINY, boxes, boxes_meet
 from jaxcrumple.geometry.hinge import Vec, add, cross, dot, gather, sub
 
-# Pairs of triangles in neighbouring cells that are looked at together; of these, those whose boxes meet; of
-# these, those that share no node.
+# Pairs of triangles per chunk: pairs in neighbouring cells; of these, pairs with overlapping boxes; of these,
+# pairs that share no node.
 ROUGH, FIRST, SECOND = 8192, 512, 128
 
 
 class _Grid(NamedTuple):
-    """Triangles sorted by cell, `order` (f,), and runs (5 f,) of partners: a triangle at place `owner` may
-    meet those at the places after `before` plus the number of a pair; there are `until` pairs in all runs up
-    to this one. Those beyond the last run add none."""
+    """Hold the triangles sorted by cell, and runs of consecutive partners.
+
+    `order` (f,): the sorted triangles. Per run (5 f,): `owner`: place in `order` of the first triangle of all
+    pairs of the run; `before`: add the number of a pair to get the place of its second triangle; `until`:
+    number of pairs up to the end of the run. Unused runs hold no pairs.
+    """
 
     order: Array
     owner: Array
@@ -37,15 +41,15 @@ class _Grid(NamedTuple):
 
     @property
     def pairs(self) -> Array:
-        """Number of pairs."""
+        """Return the number of pairs."""
         return self.until[-1]
 
     def places(self, pair: Array) -> tuple[Array, Array]:
-        """Places (m,) in the order of the two triangles of pairs, whose numbers (m,) follow one another."""
+        """Return the places (m,) in `order` of both triangles of pairs `pair` (m,), numbered in sequence."""
         width = pair.shape[0]
-        # By comparisons, so that the compiler sees that two calls do the same.
+        # Comparisons instead of a search loop, so that XLA merges two equal calls into one.
         first = jnp.searchsorted(self.until, pair[0], side="right", method="compare_all")
-        # As many pairs have no more runs than that, since none is empty.
+        # `width` pairs span at most `width` runs, because no used run is empty.
         ends = self.until[jnp.minimum(first + jnp.arange(width), self.until.shape[0] - 1)] - pair[0]
         last = jnp.zeros(width, bool).at[jnp.where(ends > 0, ends, width)].set(True, mode="drop")
         run = jnp.minimum(first + counted(last), self.until.shape[0] - 1)
@@ -54,9 +58,11 @@ class _Grid(NamedTuple):
 
 
 def find_candidates(contact: Contact, theta: Array, around: Around) -> Candidates:
-    """Pairs of triangles that may come within the range by motions `around` positions where hinges have
-    angles `theta` (h,), in a list of the same size as the one that `contact` has. Its `count` may be more
-    than that."""
+    """Find the pairs of triangles that may come within the range during the motions `around`.
+
+    `theta` (h,): hinge angles in rad at `around.x`. The list has the capacity of `contact.candidates`. If its
+    `count` is above the capacity, the list has overflowed and is not valid.
+    """
     room = contact.candidates.triangles.shape[0]
     turning = contact.fans.turning(theta)
     folded = turning > LISTED_TURN
@@ -66,26 +72,26 @@ def find_candidates(contact: Contact, theta: Array, around: Around) -> Candidate
     sharp, ways_count = compacted(lambda at: folded[at][:, None], jnp.asarray(len(ways)), 1, room, ROUGH)
     parts = ((apart, count), (pair_key(ways[sharp], n_faces), ways_count))
     keys = jnp.sort(jnp.concatenate([jnp.where(jnp.arange(room) < m, key, NONE) for key, m in parts]))
-    # A pair has two ways around the node that it shares, and may have more than one such node.
+    # A pair may appear several times: it has two ways around a shared node, and may share two nodes.
     fresh = (keys < NONE) & (keys != jnp.roll(keys, 1))
     size = jnp.asarray(keys.shape[0])
     kept, fitted = compacted(lambda at: fresh[at][:, None], size, 1, room, ROUGH, lambda at: keys[at])
     triangles = jnp.stack([kept // n_faces, kept % n_faces], axis=1).astype(jnp.int32)
-    # Ways outnumber their pairs, so that they only count where they did not fit.
+    # There are more ways than pairs, so the number of ways decides only after an overflow.
     needed = jnp.maximum(count, ways_count)
     count = jnp.where(needed > room, needed, fitted)
     return Candidates(triangles, count, around, folded, theta, largest_turn(turning, folded))
 
 
 def _apart(contact: Contact, around: Around, room: int) -> tuple[Array, Array]:
-    """Keys (room,) of pairs that share no node, and how many they are."""
+    """Find the pairs that share no node: return their keys (room,) and how many there are."""
     faces, n_faces, x = contact.faces, contact.faces.shape[0], around.x
     corners = x[faces]
     center = jnp.mean(corners, axis=1)
     extent = jnp.max(around.reach[faces], axis=1)
     radius = extent + jnp.sqrt(jnp.max(jnp.sum((corners - center[:, None]) ** 2, axis=2), axis=1))
     grid = _sorted(center, contact.range + 2.0 * jnp.max(radius))
-    # Sorted as the grid is, which spares a look at its order for every pair.
+    # Sort boxes and faces like the grid, to avoid an indirect access through `order` for every pair.
     low, high = boxes(corners[grid.order], extent[grid.order])
     faces, extent = faces[grid.order], extent[grid.order]
 
@@ -111,7 +117,7 @@ def _apart(contact: Contact, around: Around, room: int) -> tuple[Array, Array]:
 
 
 def _those(asked: Array, test: Callable[[Array], Array], block: int) -> Array:
-    """Which (m,) of those that are `asked` about pass a `test` of places (block,)."""
+    """Return which entries (m,) are flagged in `asked` (m,) and pass `test`, which takes places (block,)."""
     size = asked.shape[0]
     few, many = compacted(lambda at: asked[at][:, None], jnp.asarray(size), 1, size, size)
 
@@ -126,14 +132,14 @@ def _those(asked: Array, test: Callable[[Array], Array], block: int) -> Array:
 
 
 def _sorted(center: Array, width: Array) -> _Grid:
-    """Triangles with centres (f, 3) in cells of a `width`."""
+    """Sort triangles with centres (f, 3) in m into cubic cells of side `width` in m."""
     cell = jnp.floor((center - jnp.min(center, axis=0)) / width).astype(jnp.int64) + 1
-    # A free cell at both ends of a row keeps rows apart.
+    # An empty cell at both ends of a row separates it from the next row.
     columns, rows = jnp.max(cell[:, 0]) + 2, jnp.max(cell[:, 1]) + 2
     number = cell[:, 0] + columns * (cell[:, 1] + rows * cell[:, 2])
     order = jnp.argsort(number).astype(jnp.int32)
     number = number[order]
-    # Of the nine rows of cells around one, those that come later; and what comes later in its own.
+    # Later partners of a triangle: those behind it in its own row, and four of the other eight rows.
     later = jnp.stack(
         [jnp.zeros_like(rows), columns, columns * (rows - 1), columns * rows, columns * (rows + 1)]
     )
@@ -150,14 +156,17 @@ def _sorted(center: Array, width: Array) -> _Grid:
 
 
 def _no_neighbors(faces: Array, one: Array, two: Array) -> Array:
-    """Whether triangles (m,) share no node."""
+    """Return whether the triangles `one` (m,) and `two` (m,) share no node."""
     same = [faces[:, i][one] == faces[:, j][two] for i in range(3) for j in range(3)]
     return ~reduce(jnp.logical_or, same)
 
 
 def _may_touch(contact: Contact, x: Array, one: tuple[Array, Array], two: tuple[Array, Array]) -> Array:
-    """Whether triangles, given by nodes (m, 3) and how far these move (m,), may come within the range, and
-    have sites far enough from one another at rest."""
+    """Return whether pairs of triangles may interact.
+
+    They may if they can come within the range, and if some of their sites are far enough apart at rest.
+    `one`, `two`: nodes (m, 3) of the triangles, and how far these nodes may move (m,) in m.
+    """
     (first, one_moves), (second, two_moves) = one, two
     rest = gather(contact.rest, first), gather(contact.rest, second)
     squared = [dot(sub(p, q), sub(p, q)) for p in rest[0] for q in rest[1]]
@@ -167,8 +176,11 @@ def _may_touch(contact: Contact, x: Array, one: tuple[Array, Array], two: tuple[
 
 
 def _gap(first: tuple[Vec, ...], second: tuple[Vec, ...]) -> Array:
-    """Lower bound (m,) of the distance of triangles: that of their bounding boxes, or the largest separation
-    along the line of their centres or a normal."""
+    """Return a lower bound (m,) of the distance of two triangles in m.
+
+    It is the largest of the distance of their bounding boxes and their separations along the line between
+    their centres and along both normals.
+    """
     zero = jnp.zeros_like(first[0][0])
     apart = [jnp.maximum(_apart_by([c[i] for c in first], [c[i] for c in second]), zero) for i in range(3)]
     gap = jnp.sqrt(sum((side * side for side in apart), zero))
@@ -182,6 +194,6 @@ def _gap(first: tuple[Vec, ...], second: tuple[Vec, ...]) -> Array:
 
 
 def _apart_by(one: list[Array], two: list[Array]) -> Array:
-    """How far two intervals are apart, each that of three numbers (m,); negative where they overlap."""
+    """Return the gap (m,) between intervals, each spanned by three numbers (m,); negative if they overlap."""
     highest, lowest = ([reduce(f, side) for side in (one, two)] for f in (jnp.maximum, jnp.minimum))
     return jnp.maximum(lowest[1] - highest[0], lowest[0] - highest[1])

@@ -1,4 +1,7 @@
-"""No tunnelling: conservative advancement along a step (Zhang et al., ACM TOG 25, 2006; Li et al., 2021)."""
+"""Continuous collision detection by conservative advancement.
+
+Zhang et al., ACM TOG 25, 2006; Li et al., 2021.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -15,20 +18,20 @@ from jaxcrumple.geometry.hinge import Vec, add, dot, gather, scale, sub
 if TYPE_CHECKING:
     from jaxcrumple.contact.energy import Contact
 
-# Share of their distance (or of the range, if that is less) at which parts of the sheet count as touching; an
-# advance stops at half of it.
+# Parts of the sheet count as touching when their distance falls to this share of its start value, or of the
+# range if that is less. An advance leaves at least half of this distance.
 TOUCHING = 0.1
-# Advances after which a pair that is still under way counts as touching.
+# A pair that does not reach the end of the step within this many advances counts as touching.
 ADVANCES = 64
-# Pairs of triangles that are looked at together.
+# Pairs of triangles per chunk.
 DOUBTED = 64
 
 
 def crosses(contact: "Contact", start: Array, end: Array) -> Array:
-    """Whether parts of the sheet might touch while nodes go straight from `start` to `end` (n, 3).
+    """Return whether parts of the sheet might touch while nodes move straight from `start` to `end` (n, 3).
 
-    Never wrong where they do; the lists must hold for both. Of two triangles that share a node, the parts
-    that do not are looked at.
+    The test is conservative: it misses no contact, but may report one that does not occur. The lists must be
+    valid for both positions. For two triangles that share a node, it tests the parts that do not share it.
     """
     near = contact.near
     if contact.active is not None:
@@ -36,14 +39,14 @@ def crosses(contact: "Contact", start: Array, end: Array) -> Array:
     listed = jnp.arange(near.distance.shape[0]) < near.pair_count
     nearest = jnp.min(jnp.where(listed, near.distance, jnp.inf))
     furthest = jnp.max(jnp.maximum(*(motion(near.around.x, x) for x in (start, end))))
-    # Mostly that tells.
+    # This global bound usually suffices.
     return jax.lax.cond(
         2.0 * furthest < nearest, lambda: jnp.asarray(False), lambda: _pairs_cross(contact, start, end)
     )
 
 
 def _pairs_cross(contact: "Contact", start: Array, end: Array) -> Array:
-    """The same, by a look at the pairs that may touch."""
+    """Return the same as `crosses`, from a test of each pair that may touch."""
     near = contact.near
     places, count = may_touch(contact, start, end)
     moves = jnp.maximum(*(motion(near.around.x, x) for x in (start, end)))
@@ -52,7 +55,7 @@ def _pairs_cross(contact: "Contact", start: Array, end: Array) -> Array:
         start, way, moves, distance, triangles, faces, places = arguments
         at = places[at]
         first, second = (faces[triangles[at, side]] for side in range(2))
-        # Those of a list for other motions too must not tell.
+        # An active set also covers other motions. Pairs that this step cannot bring together must not decide.
         nearer = jnp.max(moves[first], axis=1) + jnp.max(moves[second], axis=1)
         asked = held & (distance[at] <= nearer)
         parts, steps = ((gather(x, first), gather(x, second)) for x in (start, way))
@@ -66,10 +69,11 @@ Corners = tuple[tuple[Vec, ...], tuple[Vec, ...]]
 
 
 def touches(corners: Corners, steps: Corners, shared: Array, range: Array, asked: Array) -> Array:
-    """Which (m,) of the pairs of triangles that are `asked` about might touch along `steps`.
+    """Return which (m,) of the pairs of triangles flagged in `asked` (m,) might touch along `steps`.
 
-    `corners`, `steps`: three corners of the first and of the second triangle, and how they move; `shared`
-    (15, m): parts that do not count; `range`: distance in m above which nobody needs to stay apart.
+    `corners`, `steps`: the three corners of the first and of the second triangle in m, and their
+    displacements; `shared` (15, m): parts to ignore, as in `shared_parts`; `range`: contact range in m, which
+    limits the distance at which parts count as touching.
     """
 
     def distance(t: Array) -> Array:
@@ -86,7 +90,7 @@ def touches(corners: Corners, steps: Corners, shared: Array, range: Array, asked
         gap = distance(t)
         floor = jnp.where(count == 0, TOUCHING * jnp.minimum(gap, range), floor)
         touched = touched | (asked & (t < 1.0) & (gap <= floor))
-        # No part comes nearer than half of the floor on the way to the next look.
+        # No part comes closer than half of the floor before the next evaluation.
         ahead = jnp.where(touched | ~asked, 1.0, t + (gap - 0.5 * floor) / speed)
         return jnp.minimum(ahead, 1.0), floor, touched, count + 1
 
@@ -102,7 +106,7 @@ def touches(corners: Corners, steps: Corners, shared: Array, range: Array, asked
 
 
 def _relative_motion(steps: Corners) -> Array:
-    """How far (m,) the parts of two triangles can come closer in all, their common motion left out."""
+    """Return a bound (m,) in m on the approach of two triangles along a step, without their common motion."""
     everything = [*steps[0], *steps[1]]
     mean = scale(1.0 / len(everything), _sum(everything))
     lengths = [jnp.stack([jnp.sqrt(dot(r, r)) for r in (sub(d, mean) for d in side)]) for side in steps]

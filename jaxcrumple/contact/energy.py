@@ -1,10 +1,9 @@
 """Self-contact between refined sites (Section 2.5): the potential, its forces and its tangent.
 
-Every triangle carries a lattice of sites (Fig. 2). A site stands for an area, so the energy is the paper's
-sum over pairs of sites written as a quadrature of $\\int\\int U(r)\\,dA\\,dA/a_0^2$, with $a_0 =
-\\sqrt 3\\sigma^2/2$, the area of a site of a lattice of spacing $\\sigma$: the stiffness per area does not
-depend on the refinement or on the triangle. On a lattice of triangles of height
-equal to $\\sigma$ these are the paper's (26)-(28).
+Every triangle carries a lattice of sites (Fig. 2), and each site represents an area. The paper's sum over
+site pairs then becomes a quadrature of $\\int\\int U(r)\\,dA\\,dA/a_0^2$. Here $a_0 = \\sqrt 3\\sigma^2/2$ is
+the area of a site in a lattice of spacing $\\sigma$. The stiffness per area therefore does not depend on the
+refinement or on the triangle. On a lattice of triangles of height $\\sigma$ these are the paper's (26)-(28).
 """
 
 import warnings
@@ -39,34 +38,35 @@ from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.model.elements import upper_pairs
 
 Potential = Literal["penalty", "barrier"]
-# Largest spacing of sites in ranges, on average over a triangle and along its sides, so that layers cannot
-# rest between each other's sites.
+# Largest site spacing of the penalty in ranges, on average over a triangle and along its sides. With a wider
+# spacing, layers could rest between each other's sites.
 SPACING, LONGEST_SPACING = 1.0, 1.5
-# From this spacing in ranges on, points of a sheet are out of reach of all its sites.
+# Above this spacing in ranges, some points of a sheet are out of range of all its sites.
 WIDEST_SPACING = np.sqrt(3.0)
-# The same for a barrier: any point of a triangle lies within spacing/sqrt(3) of a site, so sheets that touch
-# have two sites within twice that, which is made the core.
+# Largest site spacing of the barrier in ranges. Any point of a triangle lies within spacing/sqrt(3) of a
+# site, so two layers that touch have two sites within twice that distance, which is the core.
 BARRIER_SPACING = 0.5
-# The core of the barrier in spacings; 2/sqrt(3) covers the sheet, and the rest is room for stretching.
+# Core of the barrier in spacings: 2/sqrt(3) covers the sheet; the factor is a margin for stretching.
 CORE = 1.05 * 2.0 / np.sqrt(3.0)
-# The largest core in ranges: what is left is where the barrier rises.
+# Largest core in ranges: the barrier rises over the rest of the range.
 WIDEST_CORE = 0.75
-# Share of the lowest triangle's height that separates triangles without a common node in a flat sheet.
+# Share of the smallest triangle height that separates triangles without a common node in a flat sheet.
 CALM = 0.8
-# The reach that this allows in ranges, at least.
+# Lower limit in ranges of the skin `calm` that follows from it.
 LEAST = 0.25
-# Sites that may interact are EXCLUSION ranges apart at rest, so none do where no distance is less than this
-# share of that at rest; and the share ahead of a step that may end a little elsewhere.
+# Sites that may interact are at least EXCLUSION ranges apart at rest. No pair interacts if every distance is
+# more than half of its value at rest: APART adds a margin, APART_AHEAD a larger one for a predicted step.
 APART, APART_AHEAD = 0.55, 0.6
-# Pairs of sites that are added up together.
+# Site pairs per chunk of a sum.
 ADDED = 512
 
 
 def pair_energy(distance: Array, stiffness: Array, sigma: Array, core: Array | float | None = None) -> Array:
-    """Energy of two sites in J: $k_s \\sigma^2 \\exp(\\sigma/(r - \\sigma))$ for $r < \\sigma$, else 0.
+    """Return the energy of two sites in J.
 
-    Its negative gradient is the force of eq. (26). Finite at $r = 0$: it repels but does not forbid. With a
-    `core` $r_0$, r and $\\sigma$ are measured from there in the exponential, and a factor $(\\sigma -
+    It is $k_s \\sigma^2 \\exp(\\sigma/(r - \\sigma))$ for $r < \\sigma$, else 0. Its negative gradient is
+    the force of eq. (26). The energy is finite at $r = 0$, so that it does not exclude penetration. With a
+    `core` $r_0$ in m, the exponential measures r and $\\sigma$ from $r_0$, and a factor $(\\sigma -
     r_0)/(r - r_0)$ makes the energy infinite at $r_0$ and inside.
     """
     inside = distance < sigma
@@ -79,12 +79,13 @@ def pair_energy(distance: Array, stiffness: Array, sigma: Array, core: Array | f
 
 
 class SelfContact(NamedTuple):
-    """Options of a sheet's self-contact.
+    """Set the options of a sheet's self-contact.
 
-    - `potential`: "penalty" is the paper's (26), finite at r = 0, and steps that would pass through it are
-      rejected; "barrier" becomes infinite before sheets touch, and has four times as many sites.
+    - `potential`: "penalty" is the paper's (26); it is finite at r = 0, and steps that would pass through it
+      are rejected. "barrier" becomes infinite before layers touch; it needs four times as many sites.
     - `range`: $\\sigma$ in m, by default $h_{eff}$.
-    - `level`: refinement, by default the lowest whose sites are no further apart than the range.
+    - `level`: number of sites on an edge between its ends; by default the lowest level whose sites are no
+      further apart than the range.
     """
 
     potential: Potential = "penalty"
@@ -93,17 +94,16 @@ class SelfContact(NamedTuple):
 
 
 class Contact(eqx.Module):
-    """Repulsion between sites of one sheet.
+    """Hold the repulsion between the sites of one sheet.
 
-    - `faces` (f, 3); `rest` (n, 3) m: rest positions, which decide who never interacts.
-    - `weights` (s, 3), `share` (s,), `place` (s,): `Sites`; `density` (f, 7): `site_density`.
-    - `stiffness` $k_s$ in N/m, `range` $\\sigma$ in m, `core` m or None.
-    - `calm` m: reach of lists in which neighbours in a flat sheet do not appear.
+    - `faces` (f, 3); `rest` (n, 3) in m: rest positions; neighbours at rest never interact.
+    - `weights` (s, 3), `share` (s,), `place` (s,): as in `Sites`; `density` (f, 7): of `site_density`.
+    - `stiffness` $k_s$ in N/m; `range` $\\sigma$ in m; `core` in m, or None for the penalty.
+    - `calm` in m: skin with which the lists of a flat sheet stay empty.
     - `fans`: triangles that share a node, and the hinges between them.
-    - `chart`: tells where the sheet meets itself nowhere, so that lists need not hold; or None.
-    - `candidates`, `near`: who may meet; see `jaxcrumple.contact.lists`.
-    - `active`: who does here and now, where that is held for several steps; see
-      `jaxcrumple.contact.active_set`.
+    - `chart`: proves that a nearly flat sheet has no contact and needs no valid lists; or None.
+    - `candidates`, `near`: neighbour lists of `jaxcrumple.contact.lists`.
+    - `active`: active set of `jaxcrumple.contact.active_set` for several explicit steps, or None.
     """
 
     faces: Array
@@ -123,7 +123,7 @@ class Contact(eqx.Module):
     active: Active | None = None
 
     def energy(self, x: Array) -> Array:
-        """Energy in J at positions `x` (n, 3); NaN where the list of pairs does not hold for them."""
+        """Return the energy in J at positions `x` (n, 3); NaN if the neighbour lists are not valid there."""
 
         def add(total: Array, contact: "Contact", x: Array, pairs: SitePairs) -> Array:
             _, distance = separation(pairs, x)
@@ -132,7 +132,7 @@ class Contact(eqx.Module):
         return self._sum(x, interacting(self, x), add, jnp.zeros((), x.dtype))
 
     def force(self, x: Array) -> Array:
-        """Nodal forces (n, 3) in N, (27)-(28); NaN where the list of pairs does not hold."""
+        """Return the nodal forces (n, 3) in N, (27)-(28); NaN if the neighbour lists are not valid at `x`."""
 
         def add(total: Array, contact: "Contact", x: Array, pairs: SitePairs) -> Array:
             r, distance = separation(pairs, x)
@@ -142,13 +142,17 @@ class Contact(eqx.Module):
         return self._sum(x, likely(self, x), add, jnp.zeros_like(x))
 
     def add_tangent(self, x: Array, own: Array, face_blocks: Array) -> tuple[Array, Array, Array]:
-        """The Hessian, (A.10) with its sign put right: added to the sheet's `own` blocks (b, 9), of which
-        `face_blocks` (f, 6) are those of a triangle's nodes; blocks (T, 9, 9) from the nodes of one triangle
-        of each pair in the list to those of the other; and a diagonal (n,) that makes up for what is negative
-        in `own`, without the blocks. In N/m.
+        """Compute the Hessian in N/m at positions `x` (n, 3): (A.10) with corrected sign.
 
-        Sites that push are soft across their direction, the more the harder they push: of two sheets that
-        slide together nothing is left of this, but of each one alone.
+        A compressed pair adds negative transverse (geometric) stiffness. It cancels if both layers move
+        together, but not in the block of one layer alone.
+
+        **Arguments:** `own` (b, 9): blocks of the sheet; `face_blocks` (f, 6): index in `own` of the blocks
+        within each triangle.
+
+        **Returns:** `own` with the contact stiffness within triangles added; blocks (T, 9, 9) between the
+        nodes of the two triangles of each listed pair; and a diagonal (n,) that compensates the negative
+        stiffness in `own` where the solver uses `own` without the blocks.
         """
         one, two = np.array(upper_pairs(3)).T
 
@@ -170,8 +174,11 @@ class Contact(eqx.Module):
         return self._sum(x, interacting(self, x), add, nothing)
 
     def nearer_product(self, x: Array) -> Callable[[Array], Array]:
-        """The function of displacements (n, 3) in m that the Hessian makes forces of, in N, as if distances
-        were a little smaller than at positions `x` (n, 3): as motion may leave them."""
+        """Return the product of the Hessian with displacements (n, 3) in m, as a function; it gives N.
+
+        The Hessian is that at positions `x` (n, 3), but with all distances reduced by `CLOSER`, since motion
+        may reduce them.
+        """
         found, holds = interacting(self, x, CLOSER), self.covers(x)
 
         def add(total: Array, contact: "Contact", both: tuple[Array, Array], pairs: SitePairs) -> Array:
@@ -185,12 +192,13 @@ class Contact(eqx.Module):
         return product
 
     def gaps(self, x: Array) -> tuple[Array, Array]:
-        """Smallest distance in m of two interacting sites (infinite if none), and how many there are."""
+        """Return the smallest distance in m of two interacting sites (infinite if none), and how many site
+        pairs interact."""
         return self.nearest(x)[:2]
 
     @eqx.filter_jit
     def nearest(self, x: Array) -> tuple[Array, Array, Array]:
-        """As `gaps`, and the place in `Near.triangles` of the pair with the smallest distance."""
+        """Return `gaps`, and the place in `Near.triangles` of the pair with the smallest distance."""
         near = self.near
         pairs = site_pairs(self, near.picked, jnp.arange(near.room.pairs) < near.site_count)
         _, distance = separation(pairs, x)
@@ -199,7 +207,7 @@ class Contact(eqx.Module):
         return jnp.min(gaps), jnp.sum(pushing), pairs.owner[jnp.argmin(gaps)]
 
     def _closer(self, distance: Array) -> Array:
-        """What motion may leave of distances: no less than halfway to where a barrier is infinite."""
+        """Reduce `distance` (p,) in m by `CLOSER`, but at most halfway to the core of a barrier."""
         closer = CLOSER * distance
         return closer if self.core is None else jnp.maximum(closer, 0.5 * (self.core + distance))
 
@@ -213,32 +221,39 @@ class Contact(eqx.Module):
         return jax.vmap(jax.grad(jax.grad(self._potential)))(distance)
 
     def _matrices(self, pairs: SitePairs, direction: Array, distance: Array) -> tuple[Array, Array]:
-        """Stiffness (p, 3, 3) in N/m of pairs of sites a `distance` (p,) apart in a `direction` (p, 3), and
-        that (p,) across."""
+        """Return the stiffness (p, 3, 3) in N/m of site pairs, and the transverse stiffness (p,).
+
+        `direction` (p, 3): unit vectors between the sites; `distance` (p,) in m.
+        """
         tension = pairs.strength * self._slope(distance) / distance
         along = direction[:, :, None] * direction[:, None, :]
         stiffness = (pairs.strength * self._stiffness(distance) - tension)[:, None, None]
         return stiffness * along + tension[:, None, None] * jnp.eye(3), tension
 
     def _sum(self, x: Array, found: tuple[Array, Array], add: Callable[..., Any], nothing: Any) -> Any:
-        """`nothing` with what the pairs `found` add; NaN where the lists do not hold."""
+        """Add the contributions of the pairs `found` to `nothing`; NaN if the lists are not valid at `x`."""
         value, holds = self._added(x, found, add, nothing), self.covers(x)
         return jax.tree.map(lambda total: jnp.where(holds, total, jnp.nan), value)
 
     def _added(self, x: Any, found: tuple[Array, Array], add: Callable[..., Any], nothing: Any) -> Any:
-        """`nothing` with what pairs of sites, as `likely` finds them, add by `x`, arrays (n, 3)."""
+        """Add the contributions of the site pairs `found`, as `likely` returns them, to `nothing`.
+
+        `x`: array (n, 3), or a tuple of such arrays.
+        """
         picked, count = found
 
         def add_at(total: Any, arguments: tuple["Contact", Any, Array], at: Array, held: Array) -> Any:
             contact, x, picked = arguments
-            # What stands beyond may lie in the core of a barrier, and infinity times nothing is not nothing.
+            # An unused entry could lie in the core of a barrier, and infinity times 0 is NaN.
             return add(total, contact, x, site_pairs(contact, picked[jnp.where(held, at, 0)], held))
 
         return accumulate(add_at, nothing, (self, x, picked), count, picked.shape[0], ADDED)
 
     def sharpest(self, theta: Array) -> Array:
-        """Largest turn in rad of a fold that the candidates leave out, where hinges have angles `theta` (h,);
-        or a bound of it where that is below `DUE_TURN`."""
+        """Return the largest turn in rad of the ways at nodes that the candidates do not list.
+
+        `theta` (h,): hinge angles in rad. If an upper bound is below `DUE_TURN`, the result is that bound.
+        """
         old = self.candidates
         bound = old.turn + self.fans.longest * jnp.max(jnp.abs(theta - old.theta))
         return jax.lax.cond(
@@ -246,19 +261,25 @@ class Contact(eqx.Module):
         )
 
     def crosses(self, start: Array, end: Array) -> Array:
-        """Whether parts of the sheet might touch while nodes go straight from `start` to `end` (n, 3)."""
+        """Return whether the sheet might touch itself if nodes move straight from `start` to `end` (n, 3)."""
         return crosses(self, start, end)
 
     def covers(self, x: Array, start: Array | None = None) -> Array:
-        """Whether the lists hold for positions `x` (n, 3): no node moved further than they allow for, or no
-        list is needed there, nor on the straight way from `start` (n, 3)."""
+        """Return whether the neighbour lists are valid at positions `x` (n, 3) in m.
+
+        They are if no node has left its skin, or if the sheet is so flat that it needs no lists at `x` and on
+        the straight path from `start` (n, 3).
+        """
         listed = self.candidates.around.covers(x) & self.near.covers(x)
         listed = listed if self.active is None else listed & self.active.around.covers(x)
         return jax.lax.cond(listed, lambda: listed, lambda: self.apart(x if start is None else start, x))
 
     def apart(self, start: Array, end: Array, share: float = APART) -> Array:
-        """Whether the sheet meets itself nowhere on a straight way from `start` to `end` (n, 3); False where
-        that is not plain to see. `share`: of distances at rest that must be left."""
+        """Return whether `chart` proves that no sites interact on a straight path between two positions.
+
+        `start`, `end` (n, 3): ends of the path; `share`: least ratio of distances to those at rest that the
+        proof requires. Without a proof the result is False.
+        """
         if self.chart is None:
             return jnp.asarray(False)
         start, end = jax.lax.stop_gradient((start, end))
@@ -273,12 +294,12 @@ def _is_number(value: Any) -> bool:
 def build_contact(
     mesh: Mesh, constants: ModelConstants, options: SelfContact, like: Contact | None = None
 ) -> Contact:
-    """Contact of a sheet; its stiffness is the mean spring constant. Its refinement and lists are those of
-    `like`, where there is such.
+    """Build the contact of a sheet. Its stiffness is the mean spring constant.
 
-    **Raises:** ValueError for an unknown potential, a range that is not positive or a level below 0, a range
-    that JAX traces where nothing tells the level, a sheet of one triangle, or sites or pairs of triangles
-    that exceed the memory.
+    With `like`, refinement and lists are those of `like`.
+
+    **Raises:** ValueError for an unknown potential, a range that is not positive, a level below 0, a traced
+    range without `like`, a sheet of one triangle, or sites or pairs of triangles that exceed the memory.
     """
     sigma = constants.sigma if options.range is None else options.range
     if options.potential not in get_args(Potential):
@@ -293,7 +314,7 @@ def build_contact(
     if like is None:
         if not known:
             raise ValueError(
-                "the refinement of contact follows from its range, which JAX traces here: build the scene "
+                "the contact level depends on the contact range, which JAX traces here: build the scene "
                 "once with plain numbers, and give it as `like`."
             )
         level = _level(mesh, sigma, options)
@@ -327,16 +348,16 @@ def build_contact(
 
 
 def check_options_of(options: SelfContact, contact: Contact) -> None:
-    """Refuse a contact of another potential or level than `options` ask for.
+    """Refuse a `contact` whose potential or level differs from `options`.
 
     **Raises:** ValueError that names both.
     """
     potential = "penalty" if contact.core is None else "barrier"
-    # A lattice of `level` + 1 parts a side has (level + 2) (level + 3) / 2 sites.
+    # A lattice with `level` + 1 intervals per side has (level + 2) (level + 3) / 2 sites.
     level = int(np.sqrt(2 * len(contact.share) + 0.25) - 2.5 + 0.5)
     if options.potential != potential or options.level not in (None, level):
         raise ValueError(
-            f"the scene that this one is to be like has contact by {potential} of level {level}, not by "
+            f"the scene `like` has contact by {potential} of level {level}, not by "
             f"{options.potential} of level {options.level}; leave `like` out."
         )
 
@@ -346,9 +367,13 @@ def _longest(mesh: Mesh) -> float:
 
 
 def _level(mesh: Mesh, sigma: float, options: SelfContact) -> int:
-    """The refinement, as asked for or by default; refused or warned of where it is not fine enough."""
+    """Return the refinement level of `options`, or the default; refuse or warn of one that is too coarse.
+
+    **Raises:** ValueError for a level that is no integer from 0 on, or too coarse for a barrier.
+    """
     barrier, longest = options.potential == "barrier", _longest(mesh)
-    # The largest triangle has a site per area of a lattice; a barrier needs all its sides covered.
+    # The penalty limits the mean site spacing in the largest triangle; `widest` is the side of an equilateral
+    # one of the same area. A barrier needs the longest edge covered.
     widest = np.sqrt(float(mesh.face_area.max()) * 4.0 / np.sqrt(3.0))
     penalty = max(widest / (SPACING * sigma), longest / (LONGEST_SPACING * sigma))
     parts = longest / (BARRIER_SPACING * sigma) if barrier else penalty

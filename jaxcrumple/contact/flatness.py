@@ -1,13 +1,13 @@
-"""A sheet that hardly differs from a flat one meets itself nowhere, which a look at each triangle tells.
+"""Prove that a nearly flat sheet has no self-contact, from the deformation gradients of its triangles.
 
-Let the rest shape X lie over a convex part of a plane, with coordinates Y; let $J$ be the gradient of the
-positions x by Y in a triangle (3x2), and $M$ (3x2) have orthonormal columns. On the straight line between two
-points of the plane, in the direction $u$,
+Let the rest shape X project one-to-one onto a convex part of a plane, with coordinates Y. Let $J$ (3x2) be
+the gradient of the positions x with respect to Y in a triangle, and let $M$ (3x2) have orthonormal columns.
+On the straight line between two points of the plane, in the direction $u$,
 $$|x_2 - x_1| \\ge u \\cdot M^T (x_2 - x_1) = \\int u \\cdot M^T J u\\,ds \\ge \\lambda\\,|Y_2 - Y_1| \\ge
 \\lambda\\,|X_2 - X_1| / \\Lambda,$$
 with $\\lambda$ the least eigenvalue of the symmetric parts of all $M^T J$ and $\\Lambda$ the largest stretch
-from Y to X. $\\lambda$ is concave in x, so on the straight way between two positions it is no less than at
-one of them.
+from Y to X. $\\lambda$ is concave in x. On the straight path between two positions it is therefore no less
+than the smaller of its two end values.
 """
 
 import equinox as eqx
@@ -19,31 +19,36 @@ from scipy.spatial import ConvexHull
 from jaxcrumple.geometry.hinge import Vec, add, dot, gather, scale, sub
 from jaxcrumple.mesh.mesh import Mesh
 
-# By how much a rest shape may miss its convex hull in area, and its rim that of the hull, relative to the
-# whole: far less than is left to spare of distances that matter.
+# Tolerance of the convexity test: relative difference of the area from that of the convex hull, and distance
+# of boundary nodes from the hull over the root of the area. Far below the margin of `energy.APART`.
 ROUNDING = 1e-6
 
 
 class Chart(eqx.Module):
-    """Flat coordinates of a rest shape, $\\Lambda$ times as large.
+    """Hold the flat coordinates of a rest shape, multiplied by $\\Lambda$.
 
-    `faces` (f, 3); `inverse` (2, 2, f) 1/m: of the matrix of two edges of a triangle in these coordinates.
+    `faces` (f, 3); `inverse` (2, 2, f) in 1/m: inverse of the matrix of two edges of each triangle in these
+    coordinates.
     """
 
     faces: Array
     inverse: Array
 
     def least(self, x: Array, frame: Array) -> Array:
-        """Least ratio $\\lambda$ of a distance at positions `x` (n, 3) to that at rest, at least, as seen in
-        the directions of `frame` (3, 2)."""
+        """Return a lower bound of the ratio of any distance at positions `x` (n, 3) to that at rest.
+
+        The bound is $\\lambda$ for $M$ = `frame` (3, 2), in the scaled coordinates.
+        """
         one, two = self._gradients(x)
         m, n = tuple(frame[:, 0]), tuple(frame[:, 1])
         a, d, b = dot(m, one), dot(n, two), 0.5 * (dot(m, two) + dot(n, one))
         return jnp.min(0.5 * (a + d) - jnp.sqrt(0.25 * (a - d) ** 2 + b * b))
 
     def frame(self, x: Array) -> Array:
-        """Two orthonormal directions (3, 2), next to the mean deformation gradient at positions `x` (n, 3);
-        NaN where that is singular."""
+        """Return the orthonormal directions (3, 2) closest to the mean deformation gradient at `x` (n, 3).
+
+        They are NaN if that gradient is singular.
+        """
         one, two = (jnp.stack([jnp.mean(part) for part in column]) for column in self._gradients(x))
         # The square root of a 2x2 matrix S is (S + sqrt(det S)) / sqrt(tr S + 2 sqrt(det S)).
         a, b, d = one @ one, one @ two, two @ two
@@ -53,7 +58,7 @@ class Chart(eqx.Module):
         return jnp.stack([one * r - two * q, two * p - one * q], axis=1) / (p * r - q * q)
 
     def _gradients(self, x: Array) -> tuple[Vec, Vec]:
-        """The columns of J of each triangle."""
+        """Return the two columns of J for each triangle."""
         first, second, third = gather(x, self.faces)
         along, across = sub(second, first), sub(third, first)
         inverse = self.inverse
@@ -64,7 +69,8 @@ class Chart(eqx.Module):
 
 
 def build_chart(mesh: Mesh) -> Chart | None:
-    """The chart of a mesh, or None where its rest shape does not lie over a convex part of a plane."""
+    """Build the chart of a mesh, or return None if its rest shape does not project one-to-one onto a convex
+    part of a plane."""
     centred = mesh.vertices - mesh.vertices.mean(axis=0)
     axes = np.linalg.svd(centred, full_matrices=False)[2]
     flat, corners = centred @ axes[:2].T, centred[mesh.faces]

@@ -1,4 +1,4 @@
-"""Candidate pairs of triangles by a tree on the host."""
+"""Broad phase on the host: find candidate pairs of triangles with a k-d tree."""
 
 import itertools
 
@@ -11,7 +11,8 @@ from jaxcrumple.contact.adjacency import LISTED_TURN, Fans
 from jaxcrumple.contact.energy import Contact
 from jaxcrumple.contact.lists import EXCLUSION
 
-# Share of the triangles whose reach is large enough to be searched for one by one.
+# Share of the triangles, those with the largest skin, whose partners are searched one by one. One common
+# search radius for all triangles would otherwise find too many pairs.
 FAST = 0.02
 
 
@@ -19,10 +20,10 @@ _turning = eqx.filter_jit(Fans.turning)
 
 
 class Search:
-    """Finds the pairs of triangles of one sheet that may meet. What never changes is prepared once."""
+    """Find the candidate pairs of triangles of one sheet. All constant data is prepared once."""
 
     def __init__(self, contact: Contact, hinges: np.ndarray):
-        """`hinges` (h, 4): nodes as in `Bending.nodes`."""
+        """Prepare the search; `hinges` (h, 4): nodes as in `Bending.nodes`."""
         self.faces = np.asarray(contact.faces)
         self.sigma = float(contact.range)
         self.hinges = np.asarray(hinges)
@@ -35,11 +36,12 @@ class Search:
     def find(
         self, x: np.ndarray, reach: np.ndarray, turn: float = LISTED_TURN
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Pairs of triangles that may come within the range while no node of `x` (n, 3) moves further than
-        its `reach` (n,), and at folds that are sharper than `turn` rad.
+        """Find the candidate pairs at positions `x` (n, 3) in m.
 
-        **Returns:** the pairs (c, 2), sorted, and which of the ways of `Fans` (w,) are folded enough to
-        count.
+        These are the pairs without a common node that may come within the range while each node moves up to
+        its skin `reach` (n,) in m, and the pairs at a node whose way turns by more than `turn` in rad.
+
+        **Returns:** the sorted pairs (c, 2), and which ways (w,) of `Fans` turn by more than `turn`.
         """
         folded = self._folded(x, turn)
         pairs = self.fan_triangles[folded].astype(np.int64)
@@ -48,7 +50,7 @@ class Search:
         return np.stack([keys // len(self.faces), keys % len(self.faces)], axis=1), folded
 
     def _apart(self, x: np.ndarray, reach: np.ndarray) -> np.ndarray:
-        """Keys of pairs that share no node."""
+        """Return the keys of the candidate pairs that share no node."""
         corners = x[self.faces]
         center = corners.mean(axis=1)
         offset = corners - center[:, None]
@@ -65,13 +67,13 @@ class Search:
         return key[self._interact(pairs)]
 
     def _interact(self, pairs: np.ndarray) -> np.ndarray:
-        """Whether some of their sites are far enough from one another at rest."""
+        """Return whether some sites of each pair are far enough apart at rest to interact."""
         one, two = (self.rest[self.faces[pairs[:, k]]] for k in range(2))
         squared = np.sum((one[:, :, None] - two[:, None]) ** 2, axis=3)
         return squared.max(axis=(1, 2)) >= (EXCLUSION * self.sigma) ** 2
 
     def _folded(self, x: np.ndarray, turn: float) -> np.ndarray:
-        """Which ways around a node have a sharp enough fold in them."""
+        """Return which ways (w,) around a node turn by more than `turn` in rad."""
         a, b, c, d = (x[self.hinges[:, k]] for k in range(4))
         n1, n2 = np.cross(b - a, c - a), np.cross(d - a, b - a)
         angle = np.arctan2(np.linalg.norm(np.cross(n1, n2), axis=1), np.einsum("ij,ij->i", n1, n2))
@@ -79,8 +81,11 @@ class Search:
 
 
 def _tree_pairs(center: np.ndarray, radius: np.ndarray, room: np.ndarray, sigma: float) -> np.ndarray:
-    """Pairs (m, 2), first below second, some of them twice, whose balls of `radius` come within sigma and the
-    room of both."""
+    """Find the pairs whose bounding spheres come within `sigma` of each other.
+
+    The spheres have radius `radius` (f,) + `room` (f,), all in m. Returns the pairs (m, 2), lower index
+    first; some occur twice.
+    """
     tree = cKDTree(center)
     common = np.quantile(room, 1.0 - FAST)
     usual = 2.0 * radius.max() + sigma + 2.0 * common
@@ -89,15 +94,17 @@ def _tree_pairs(center: np.ndarray, radius: np.ndarray, room: np.ndarray, sigma:
     near = tree.query_ball_point(center[fast], radius[fast] + radius.max() + sigma + 2.0 * room[fast])
     one = np.repeat(fast, np.fromiter(map(len, near), int, len(fast)))
     two = np.fromiter(itertools.chain.from_iterable(near), int, len(one))
-    # Of two fast ones that with more room finds the other, and perhaps both do.
+    # Of two triangles with a large skin, the one with the larger skin finds the other; both may do so.
     one, two = np.minimum(one, two), np.maximum(one, two)
     pairs.append(_in_balls(center, radius + room, sigma, (one, two), (1.0 - 1e-9) * usual))
     return np.concatenate(pairs)
 
 
 def _in_balls(center: np.ndarray, size: np.ndarray, sigma: float, pairs, least: float) -> np.ndarray:
-    """Those of the `pairs` (2, m), as (k, 2), whose balls of `size` come within sigma, further than `least`
-    apart."""
+    """Return the `pairs` (2, m), as (k, 2), whose spheres of radius `size` come within `sigma` of each other.
+
+    Pairs with centres closer than `least` are left out: another search has found them.
+    """
     one, two = (np.asarray(side, np.int64) for side in pairs)
     apart = center[one] - center[two]
     squared = np.einsum("ij,ij->i", apart, apart)
@@ -106,7 +113,7 @@ def _in_balls(center: np.ndarray, size: np.ndarray, sigma: float, pairs, least: 
 
 
 def _box_gap(corners: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """Distance (m,) of the triangles' bounding boxes."""
+    """Return the distance (m,) of the bounding boxes of the triangles."""
     low, high = _smallest(corners), _largest(corners)
     one, two = pairs.T
     apart = np.maximum(np.maximum(low[two] - high[one], low[one] - high[two]), 0.0)
@@ -114,7 +121,7 @@ def _box_gap(corners: np.ndarray, pairs: np.ndarray) -> np.ndarray:
 
 
 def _axis_gap(corners: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """Lower bound (m,) of the distance: the largest separation along three axes of a pair."""
+    """Return a lower bound (m,) of the distance: the largest separation along centre line and normals."""
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     center = corners.mean(axis=1)
     one, two = pairs.T
@@ -129,7 +136,7 @@ def _axis_gap(corners: np.ndarray, pairs: np.ndarray) -> np.ndarray:
 
 
 def _largest(a: np.ndarray) -> np.ndarray:
-    """Maximum over the three corners, axis 1: much faster than NumPy's reduction of a short axis."""
+    """Return the maximum over the corners, axis 1; much faster than NumPy's reduction of a short axis."""
     return np.maximum(np.maximum(a[:, 0], a[:, 1]), a[:, 2])
 
 

@@ -1,4 +1,4 @@
-"""Lists of the pairs of sites that may interact, made from candidate pairs of triangles."""
+"""Narrow phase: find the site pairs that may interact among the candidate pairs of triangles."""
 
 from typing import TYPE_CHECKING
 
@@ -14,15 +14,18 @@ from jaxcrumple.geometry.hinge import Vec, add, dot, gather, scale, sub
 if TYPE_CHECKING:
     from jaxcrumple.contact.energy import Contact
 
-# Pairs of boxes and of triangles, and rows of sites, that are looked at together.
+# Entries per chunk: pairs of boxes, pairs of triangles, rows of sites, and site pairs in tests of distances.
 BOXES, PAIRS, LINES, REST = 1024, 256, 2048, 1024
-# In spacings of sites, far more than the rounding of places along rows.
+# Margin in site spacings, far above the rounding errors of positions along rows.
 NEARLY = 1e-4
 
 
 def find_near(contact: "Contact", around: Around) -> Near:
-    """The pairs of sites that may interact within motions `around`, in a list of the same size as the one
-    that `contact` has."""
+    """Find the site pairs that may interact during the motions `around`.
+
+    The candidates of `contact` must cover these motions. The list has the capacities of `contact.near`; test
+    its `overflow`.
+    """
     room = contact.near.room
     triangles, distance, pair_count = _near_triangles(contact, around)
     pairs = jnp.minimum(pair_count, room.triangles)
@@ -34,7 +37,7 @@ def find_near(contact: "Contact", around: Around) -> Near:
     met, met_count = stages.columns(found, lines, looked_at)
     picked, total = stages.strangers(found, met, jnp.minimum(met_count, room.pairs))
     owner, apart = stages.distances(found, picked, total)
-    # What did not fit was not looked at further, and has as many sites and pairs as the rest.
+    # Entries beyond a capacity were not processed: assume as many sites and pairs for them as for the others.
     found_count = _in_all(found_count, pair_count, pairs)
     lines_met = jnp.maximum(line_count, _in_all(met_count, line_count, looked_at))
     return Near(
@@ -52,8 +55,11 @@ def find_near(contact: "Contact", around: Around) -> Near:
 
 
 class _Stages:
-    """From pairs of `triangles` (T, 2) to pairs of sites: sites of the first ones near the second, rows of
-    sites of the second ones near these, sites in such rows, and those that are no neighbours at rest."""
+    """Reduce pairs of `triangles` (T, 2) to site pairs, stage by stage.
+
+    `sites`: sites of the first triangle near the second; `rows`: rows of sites of the second triangle near
+    these; `columns`: sites in these rows; `strangers`: pairs that are not neighbours at rest.
+    """
 
     def __init__(self, contact: "Contact", around: Around, triangles: Array):
         self.contact, self.x, self.room = contact, around.x, contact.near.room
@@ -63,7 +69,7 @@ class _Stages:
         self.width = self.lattice.parts + 1
 
     def sites(self, pairs: Array) -> tuple[Array, Array]:
-        """As `Near.found`, and how many they are, of the first `pairs`."""
+        """Find the sites, as in `Near.found`, of the first `pairs` pairs; return them and their number."""
         contact, lattice = self.contact, self.lattice
         strange = _may_meet(contact, self.x, self.first, self.second, self.reach)
 
@@ -78,7 +84,7 @@ class _Stages:
         return enumerated(close, pairs, self.room.sites, max(LINES // len(lattice.row), 1), place)
 
     def _sides(self, found: Array, x: Array) -> tuple[Vec, Vec, Vec]:
-        """Where in the second triangle's lattice sites are: from there to its start, and its two steps."""
+        """Return `Lattice.steps` from the sites `found` (m,) in the lattice of the second triangle."""
         owner, site = split(found, self.lattice.count)
         point = self.lattice.point(site, gather(x, self.first[owner]))
         return self.lattice.steps(point, gather(x, self.second[owner]))
@@ -87,7 +93,7 @@ class _Stages:
         return self.reach[split(found, self.lattice.count)[0]]
 
     def rows(self, found: Array, count: Array) -> tuple[Array, Array]:
-        """Rows near the first `count` sites, as place in `found` * `width` + row, and how many they are."""
+        """Find the rows near the first `count` sites: place in `found` * `width` + row, and their number."""
 
         def near(at: Array) -> tuple[Array, Array]:
             start, row, step = self._sides(found[at], self.x)
@@ -99,8 +105,10 @@ class _Stages:
         )
 
     def columns(self, found: Array, lines: Array, count: Array) -> tuple[Array, Array]:
-        """Sites in the first `count` rows that are near and, but for rounding, no neighbours at rest, as
-        `Near.picked`, and how many they are."""
+        """Find the near sites in the first `count` rows, without neighbours at rest up to rounding.
+
+        Returns the pairs, as in `Near.picked`, and their number.
+        """
         contact, lattice = self.contact, self.lattice
 
         def near(at: Array) -> tuple[Array, Array]:
@@ -109,7 +117,7 @@ class _Stages:
             start, row, step = self._sides(found[here], self.x)
             close = within(add(start, scale(number, row)), step, self._limit(found[here]), last)
             start, row, step = self._sides(found[here], contact.rest)
-            # Rounding must not make it hold more than neighbours at rest.
+            # With the margin, rounding excludes no pair other than neighbours at rest.
             known = EXCLUSION * contact.range - NEARLY * jnp.sqrt(dot(step, step))
             return without(close, within(add(start, scale(number, row)), step, known, last))
 
@@ -121,7 +129,7 @@ class _Stages:
         return enumerated(near, count, self.room.pairs, LINES, entry)
 
     def strangers(self, found: Array, met: Array, count: Array) -> tuple[Array, Array]:
-        """Those of the first `count` pairs that are no neighbours at rest, and how many they are."""
+        """Select the pairs among the first `count` that are not neighbours at rest, and count them."""
 
         def strange(at: Array) -> Array:
             _, apart = self._between(found, met[at], self.contact.rest)
@@ -130,7 +138,7 @@ class _Stages:
         return compacted(strange, count, 1, self.room.pairs, REST, lambda at: met[at])
 
     def distances(self, found: Array, picked: Array, count: Array) -> tuple[Array, Array]:
-        """As `Near.owner` and `Near.apart`, for the first `count` pairs."""
+        """Compute `Near.owner` and `Near.apart` for the first `count` pairs."""
 
         def distance(at: Array) -> tuple[Array, Array]:
             owner, r = self._between(found, picked[at], self.x)
@@ -139,8 +147,8 @@ class _Stages:
         return filled(distance, count, self.room.pairs, REST)
 
     def _between(self, found: Array, pairs: Array, x: Array) -> tuple[Array, Vec]:
-        """Places of pairs of sites in the list of pairs of triangles, and the ways from one site to the
-        other."""
+        """Return the place of each site pair in the list of triangle pairs, and the vector from the second
+        site to the first."""
         row, other = split(pairs, self.lattice.count)
         owner, site = split(found[row], self.lattice.count)
         here = self.lattice.point(site, gather(x, self.first[owner]))
@@ -148,15 +156,18 @@ class _Stages:
 
 
 def _in_all(count: Array, whole: Array, part: Array) -> Array:
-    """What `count`, that of a part of a list, is for the `whole`."""
+    """Extrapolate `count`, found in the first `part` entries of a list, to all `whole` entries."""
     return jnp.where(
         part < whole, jnp.ceil(count * (whole / jnp.maximum(part, 1))).astype(count.dtype), count
     )
 
 
 def _near_triangles(contact: "Contact", around: Around) -> tuple[Array, Array, Array]:
-    """Pairs of triangles (T, 2) that may come within the range, the distance (T,) of those of their parts
-    that share no node, and how many they are."""
+    """Find the candidate pairs of triangles that may come within the range during the motions `around`.
+
+    Returns the pairs (T, 2), the distance (T,) in m between the parts that share no node, and the number of
+    pairs.
+    """
     candidates, faces = contact.candidates, contact.faces
     low, high = boxes(around.x[faces], jnp.max(around.reach[faces], axis=1))
 
@@ -180,12 +191,12 @@ def _near_triangles(contact: "Contact", around: Around) -> tuple[Array, Array, A
 
 
 def _limit(contact: "Contact", around: Around, first: Array, second: Array) -> Array:
-    """Distance (m,) within which pairs of triangles with nodes (m, 3) may interact."""
+    """Return the distance (m,) within which triangles with nodes (m, 3) may interact: range plus skins."""
     return contact.range + sum(jnp.max(around.reach[nodes], axis=1) for nodes in (first, second))
 
 
 def _distances(x: Array, first: Array, second: Array) -> tuple[Array, Array]:
-    """Distance (m,) of triangles with nodes (m, 3), and of those of their parts that share no node."""
+    """Return the distance (m,) of triangles with nodes (m, 3), and that between parts that share no node."""
     parts = primitive_distances(gather(x, first), gather(x, second))
     shared = shared_parts(first, second)
     whole = jnp.where(jnp.any(shared, axis=0), 0.0, jnp.sqrt(jnp.min(parts, axis=0)))
@@ -193,13 +204,13 @@ def _distances(x: Array, first: Array, second: Array) -> tuple[Array, Array]:
 
 
 def _may_meet(contact: "Contact", x: Array, first: Array, second: Array, reach: Array) -> Array:
-    """Whether points of triangles with nodes (m, 3) that are no neighbours at rest may be as near as `reach`
-    (m,).
+    """Return whether two points that are not neighbours at rest may be within `reach` (m,) of each other.
 
-    With barycentric coordinates a_i and b_j, the squared distance of two points is sum(a_i b_j d_ij) less
-    sum(a_i a_k e_ik) and sum(b_j b_l f_jl) over pairs of corners, where d, e and f are those of corners. So
-    it was larger at rest by no more than the largest difference of d and, as sum(a_i a_k) <= 1/3, a third of
-    that by which edges grew.
+    The points lie on triangles with nodes `first`, `second` (m, 3). With barycentric coordinates a_i and b_j,
+    their squared distance is sum(a_i b_j d_ij) - sum(a_i a_k e_ik) - sum(b_j b_l f_jl) over pairs of corners.
+    Here d are the squared distances between corners of the two triangles, and e, f those within each
+    triangle. The squared distance at rest thus exceeds the current one by at most the largest decrease of d
+    plus, as sum(a_i a_k) <= 1/3, a third of the largest increase of e and of f.
     """
     (apart, *edges), (rest, *lengths) = (_squares(y, first, second) for y in (x, contact.rest))
     grown = sum(jnp.maximum(jnp.max(now - was, axis=0), 0.0) for now, was in zip(edges, lengths, strict=True))
@@ -208,8 +219,8 @@ def _may_meet(contact: "Contact", x: Array, first: Array, second: Array, reach: 
 
 
 def _squares(x: Array, first: Array, second: Array) -> tuple[Array, Array, Array]:
-    """Squared distances between the corners of triangles with nodes (m, 3), (9, m), and of the corners of
-    each of them, (3, m)."""
+    """Return squared corner distances of triangles with nodes (m, 3): (9, m) between the two triangles, and
+    (3, m) within each."""
 
     def square(p: Vec, q: Vec) -> Array:
         return dot(sub(p, q), sub(p, q))

@@ -1,4 +1,4 @@
-"""Which sites of a triangle lie near something: whole numbers along the rows of its lattice."""
+"""Find the sites of a triangle near a point or triangle, as integer intervals in the rows of its lattice."""
 
 import jax
 import jax.numpy as jnp
@@ -8,12 +8,15 @@ from jax import Array
 from jaxcrumple.geometry.distance import TINY
 from jaxcrumple.geometry.hinge import Vec, add, cross, dot, scale, sub
 
-# Sites are found that miss a bound by this much of their spacing or their reach.
+# Tolerance of the bounds, in site spacings or in units of the reach: sites that miss a bound by less count.
 ROUNDING = 1e-6
 
 
 class Lattice:
-    """The sites of a triangle by rows: those whose weight of the first corner is the same."""
+    """Order the sites of a triangle by rows, in which the weight of the first corner is constant.
+
+    `parts`: intervals along an edge; `row` (r,): row numbers; `first` (r,): first site of each row.
+    """
 
     def __init__(self, weights: Array):
         self.weights, self.count = weights, weights.shape[0]
@@ -22,12 +25,12 @@ class Lattice:
         self.first = jnp.asarray(self.row * (self.parts + 1) - self.row * (self.row - 1) // 2, jnp.int32)
 
     def point(self, site: Array, corners: tuple[Vec, ...]) -> Vec:
-        """Positions of sites (m,) of triangles with given corners."""
+        """Return the positions of sites `site` (m,) of triangles with given `corners`."""
         a, b, c = (scale(self.weights[:, k][site], corner) for k, corner in enumerate(corners))
         return add(add(a, b), c)
 
     def steps(self, point: Vec, corners: tuple[Vec, ...]) -> tuple[Vec, Vec, Vec]:
-        """From points to the site of the third corner, from there to the next row, and along a row."""
+        """Return the vectors from `point` to the third corner, from a row to the next, and along a row."""
         row, step = (scale(1.0 / self.parts, sub(corners[k], corners[2])) for k in range(2))
         return sub(corners[2], point), row, step
 
@@ -35,9 +38,12 @@ class Lattice:
 def in_prism(
     lattice: Lattice, first: tuple[Vec, ...], second: tuple[Vec, ...], reach: Array
 ) -> tuple[Array, Array]:
-    """Intervals (m, r) of sites of the first triangles in a prism around the second ones, `reach` (m,) wide.
+    """Find the sites of the first triangles in prisms around the second ones that extend by `reach` (m,).
 
-    The prism's five sides are planes, and a site's height above one is linear in its number in a row.
+    The five sides of a prism are planes, and the height of a site above a plane is linear in its number in
+    the row.
+
+    **Returns:** start and exclusive end of intervals (m, r) of site numbers in each row.
     """
     edges = [sub(second[(k + 1) % 3], second[k]) for k in range(3)]
     normal = _unit(cross(edges[0], edges[1]))
@@ -47,11 +53,11 @@ def in_prism(
         (second[0], scale(-1.0, normal)),
         *((second[k], _unit(cross(edges[k], normal))) for k in range(3)),
     ]:
-        # Once a triangle, which the compiler would do again for each of its rows.
+        # The barrier makes XLA compute this once per triangle instead of once per row.
         a, b, c = jax.lax.optimization_barrier(tuple(dot(sub(p, corner), direction) for p in first))
         row, rise = (a - c) / lattice.parts, ((b - c) / lattice.parts)[:, None]
         room = (reach - c)[:, None] - row[:, None] * lattice.row
-        # The sign of what is zero but for rounding may change from one use to the next.
+        # XLA may evaluate a rise more than once; if it is zero up to rounding, its sign may differ each time.
         least = (ROUNDING * reach / lattice.parts)[:, None]
         steep = jnp.abs(rise) > least
         end = room / jnp.where(steep, rise, 1.0)
@@ -62,13 +68,15 @@ def in_prism(
 
 
 def across(a: Vec, b: Vec) -> Vec:
-    """The part of vectors that is normal to others."""
+    """Return the component of `a` normal to `b`."""
     return sub(a, scale(dot(a, b) / (dot(b, b) + TINY), b))
 
 
 def within(start: Vec, step: Vec, reach: Array, last: Array | int) -> tuple[Array, Array]:
-    """Intervals (m, 1) of whole numbers k up to `last` for which `start` + k `step` is no longer than
-    `reach`: its square is quadratic in k."""
+    """Find the integers k from 0 to `last` for which |`start` + k `step`| <= `reach`, a quadratic inequality.
+
+    **Returns:** start and exclusive end of the intervals (m, 1).
+    """
     square = dot(step, step) + TINY
     middle = -dot(start, step) / square
     half = middle * middle - (dot(start, start) - reach * reach) / square
@@ -78,7 +86,7 @@ def within(start: Vec, step: Vec, reach: Array, last: Array | int) -> tuple[Arra
 
 
 def without(whole: tuple[Array, Array], part: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Intervals (m, 2): of intervals (m, 1) what lies before others and what lies behind them."""
+    """Return the intervals (m, 2) that `part` (m, 1) leaves of `whole` (m, 1): before it and after it."""
     (first, behind), (begin, end) = whole, part
     empty = begin >= end
     begin, end = jnp.where(empty, behind, begin), jnp.where(empty, behind, end)
@@ -87,7 +95,7 @@ def without(whole: tuple[Array, Array], part: tuple[Array, Array]) -> tuple[Arra
 
 
 def _whole(low: Array, high: Array, last: Array | int | np.ndarray) -> tuple[Array, Array]:
-    """Whole numbers from 0 to `last` between `low` and `high`: the first one and the one behind the last."""
+    """Return start and exclusive end of the integers from 0 to `last` between `low` and `high`."""
     first = jnp.ceil(jnp.clip(low - ROUNDING, 0.0, last + 1.0))
     behind = jnp.floor(jnp.clip(high + ROUNDING, -1.0, last)) + 1.0
     return first.astype(jnp.int32), behind.astype(jnp.int32)

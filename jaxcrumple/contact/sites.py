@@ -1,4 +1,4 @@
-"""The lattice of sites on every triangle (Fig. 2), for how much a site counts, and what sites take."""
+"""The lattice of sites on every triangle (Fig. 2), the weights of sites, and the memory they need."""
 
 from typing import Any, NamedTuple
 
@@ -9,19 +9,22 @@ from scipy.spatial import cKDTree
 from jaxcrumple._jax.memory import require, require_indices, times_that_fit
 from jaxcrumple.mesh.mesh import Mesh
 
-# Bytes: of a site of one triangle while the lattice is built, of a pair of sites in the lists and their
-# copies, and of a pair of triangles in the search for candidates.
+# Bytes per site of one triangle while the lattice is built, per site pair in the lists with their copies, and
+# per candidate pair of triangles in the broad phase.
 SITE, PAIR, CANDIDATE = 200.0, 90.0, 100.0
-# Pairs of sites in the lists for each site of the sheet: where it touches itself along a few folds, and in a
-# dense crumple, with the room that lists keep (0.36 in a crumple to a third of its size, n = 1000).
+# Site pairs in the lists per site of the sheet, with spare capacity: for contact along a few folds, and for a
+# dense crumple (0.36 in a crumple to a third of its size, n = 1000).
 PAIRS = (0.01, 0.5)
-# Refinement from which on 32-bit numbers do not count the sites of a triangle.
+# Largest refinement level: 32-bit integers cannot number the sites of a triangle much beyond it.
 MOST_LEVEL = 65_000
 
 
 class Sites(NamedTuple):
-    """The lattice of sites on every triangle: barycentric `weights` (s, 3), `share` (s,) of its area, and
-    `place` (s,): 0 inside, 1 + k on the side opposite to corner k, 4 + k at that corner."""
+    """Hold the lattice of sites on a triangle.
+
+    `weights` (s, 3): barycentric coordinates; `share` (s,): share of the triangle's area; `place` (s,): 0
+    inside, 1 + k on the side opposite to corner k, 4 + k at corner k.
+    """
 
     weights: np.ndarray
     share: np.ndarray
@@ -29,12 +32,13 @@ class Sites(NamedTuple):
 
 
 def build_sites(level: int) -> Sites:
-    """Sites of a refinement `level`: as many on an edge between its ends (Fig. 2), corners included."""
+    """Build the sites of a refinement `level`: the corners, `level` sites on each edge between them, and the
+    inner sites (Fig. 2)."""
     parts = level + 1
     i = np.repeat(np.arange(parts + 1), np.arange(parts + 1, 0, -1))
     j = np.concatenate([np.arange(parts + 1 - row) for row in range(parts + 1)])
     corners = np.stack([i, j, parts - i - j], axis=1)
-    # A third of each of the small triangles around a site, of which a corner has 1, a side 3, the inside 6.
+    # A site gets a third of each small triangle around it: one at a corner, three on a side, six inside.
     zeros = np.sum(corners == 0, axis=1)
     share = np.array([6, 3, 1])[zeros] / (3.0 * parts**2)
     side, corner = 1 + np.argmin(corners, axis=1), 4 + np.argmax(corners, axis=1)
@@ -42,9 +46,11 @@ def build_sites(level: int) -> Sites:
 
 
 def site_density(mesh: Mesh, sigma: Any) -> Any:
-    """Areas (f, 7) over $a_0$ by which a triangle's sites count, by their `place`: its own, and at the free
-    edge of the sheet so much more that sites there count in full, as in the paper. By their area alone two
-    edges that meet would push with a quarter of the force, and press through one another."""
+    """Return the area (f, 7) of each triangle over $a_0$, by `place` of its sites, to multiply their `share`.
+
+    At the free edge of the sheet it is larger, so that sites there count in full, as in the paper. With the
+    area alone, two edges in contact would repel with a quarter of the force and pass through each other.
+    """
     factor = np.ones((len(mesh.faces), 7))
     free, sides = mesh.edges[mesh.boundary_edges], mesh.faces[:, [[1, 2], [2, 0], [0, 1]]]
     keys = [np.sort(pairs, axis=-1).astype(np.int64) @ [mesh.n_nodes, 1] for pairs in (sides, free)]
@@ -56,17 +62,17 @@ def site_density(mesh: Mesh, sigma: Any) -> Any:
 
 
 def require_sites(faces: int, level: int, sigma: float, *, chosen: bool) -> None:
-    """Refuse more sites than memory holds, before any is made; warn where a dense crumple may need too much.
+    """Refuse sites that exceed the memory, before they are built; warn if a dense crumple may exceed it.
 
-    **Arguments:** `faces` of the sheet; refinement `level`, which was `chosen` or follows from the range
-    `sigma` in m.
+    **Arguments:** `faces`: number of triangles; `level`: refinement level; `sigma`: contact range in m;
+    `chosen`: whether the user chose the level, which otherwise follows from the range.
 
-    **Raises:** ValueError with an estimate and the level or the range that fits.
+    **Raises:** ValueError with an estimate, and a level or a range that fits.
     """
     own = (level + 2.0) * (level + 3.0) / 2.0
     least, most = (SITE * own + PAIR * share * own * faces for share in PAIRS)
     what = f"contact of range {sigma:.3g} m at level {level}, with {own * faces:.2g} sites on the sheet,"
-    # Of that level or range a dense crumple fits too.
+    # The suggested level or range leaves memory for a dense crumple as well.
     fitting = np.sqrt(times_that_fit(most))
     if chosen:
         cure = f"choose a contact level of at most {max(int(fitting * (level + 2)) - 3, 0)}"
@@ -78,7 +84,7 @@ def require_sites(faces: int, level: int, sigma: float, *, chosen: bool) -> None
 
 
 def require_candidates(mesh: Mesh, sigma: float) -> None:
-    """Refuse a range `sigma` in m, or a mesh, by which more triangles are near one another than memory holds.
+    """Refuse a contact range `sigma` in m, or a mesh, whose candidate pairs of triangles exceed the memory.
 
     **Raises:** ValueError with an estimate.
     """
@@ -91,10 +97,10 @@ def require_candidates(mesh: Mesh, sigma: float) -> None:
     tree = cKDTree(center)
     pairs = (float(tree.count_neighbors(tree, widest + sigma)) - faces) / 2.0
     cure = "give triangles of more equal size" if widest > sigma else "choose a smaller contact range"
-    require(CANDIDATE * pairs, f"the search for {pairs:.2g} pairs of triangles that may meet", cure)
+    require(CANDIDATE * pairs, f"the broad phase with {pairs:.2g} candidate pairs of triangles", cure)
 
 
 def _rounded_up(value: float) -> str:
-    """Two digits, not below the value."""
+    """Format a value with two digits, rounded up."""
     unit = 10.0 ** (np.floor(np.log10(value)) - 1)
     return f"{np.ceil(value / unit) * unit:.2g}"

@@ -1,7 +1,7 @@
 """Distances between points, segments, triangles and boxes (Ericson, Real-Time Collision Detection, ch. 5).
 
-Vectors are tuples of three arrays, as in `geometry`; all formulas broadcast. Branches are clamps and
-minima, so that one kernel serves any number of pairs.
+Vectors are tuples of three arrays, as in `geometry.hinge`; all formulas broadcast. Clamps and minima replace
+branches, so one kernel serves any number of pairs.
 """
 
 from functools import reduce
@@ -13,12 +13,13 @@ from jax import Array
 
 from jaxcrumple.geometry.hinge import Vec, cross, dot, scale, sub
 
-# Pairs of a corner of one triangle with the other triangle, and of their edges: (side, corner), (edge, edge).
+# Parts of two triangles: pairs corner-triangle as (side, corner), and pairs edge-edge as (edge, edge).
 CORNERS = tuple((side, corner) for side in range(2) for corner in range(3))
 EDGES = tuple((first, second) for first in range(3) for second in range(3))
-# Ends of the edges of a triangle.
+# Corners at the ends of each edge of a triangle.
 ENDS = ((0, 1), (1, 2), (2, 0))
-# Squared sine below which two segments count as parallel, and a square that no length here falls below, m2.
+# Squared sine below which two segments count as parallel; and an offset in m2, below any squared length here,
+# that avoids 0/0.
 PARALLEL, TINY = 1e-12, 1e-60
 
 
@@ -37,7 +38,7 @@ def segment_segment(p1: Vec, p2: Vec, q1: Vec, q2: Vec) -> Array:
 
 
 def point_plane(p: Vec, a: Vec, b: Vec, c: Vec) -> Array:
-    """Squared distance of a point from the triangle a b c where its foot lies inside, else infinity."""
+    """Squared distance of a point from the plane a b c if its foot lies in the triangle, else infinity."""
     e0, e1, r = sub(b, a), sub(c, a), sub(p, a)
     n = cross(e0, e1)
     area = dot(n, n) + TINY
@@ -47,14 +48,14 @@ def point_plane(p: Vec, a: Vec, b: Vec, c: Vec) -> Array:
 
 
 def primitive_distances(first: tuple[Vec, ...], second: tuple[Vec, ...]) -> Array:
-    """Squared distances (15, ...) between the parts of two triangles, three corners each.
+    """Squared distances (15, ...) between the parts of two triangles, given by three corners each.
 
-    The first six are those of a corner above the other triangle (`CORNERS`; infinite where its foot lies
-    outside: an edge is nearer then), the others those of two edges (`EDGES`). Their minimum is the squared
-    distance of triangles that do not intersect.
+    The first six are corner-triangle distances (`CORNERS`). They are infinite where the foot of the corner
+    lies outside the triangle, because an edge is nearer then. The other nine are edge-edge distances
+    (`EDGES`). Their minimum is the squared distance of triangles that do not intersect.
     """
     sides = jnp.stack([jnp.stack([jnp.stack(c) for c in side]) for side in (first, second)])
-    # Loops over the parts rather than fifteen expressions: compiled once, they take a tenth of the time.
+    # XLA compiles the body of a loop once; fifteen expressions would take ten times as long.
     side, corner = np.array(CORNERS).T
 
     def above(part: tuple[Array, Array]) -> Array:
@@ -77,7 +78,7 @@ def _vec(a: Array) -> Vec:
 
 
 def shared_parts(first: Array, second: Array) -> Array:
-    """Which of the parts of `primitive_distances` (15, m) share a node: node numbers (m, 3), (m, 3)."""
+    """Flags (15, m) of parts as in `primitive_distances` that share a node, from node numbers (m, 3)."""
     same = first[:, :, None] == second[:, None, :]
     owned = [jnp.any(same[:, k] if s == 0 else same[:, :, k], axis=1) for s, k in CORNERS]
     for i, j in EDGES:
@@ -86,13 +87,15 @@ def shared_parts(first: Array, second: Array) -> Array:
 
 
 def boxes(corners: Array, extent: Array) -> tuple[Vec, Vec]:
-    """Lowest and highest coordinates, three (f,) each, of triangles with `corners` (f, 3, 3) that move by
-    `extent` (f,)."""
+    """Bounding boxes of triangles with `corners` (f, 3, 3) that move by up to `extent` (f,).
+
+    **Returns:** the lowest and the highest coordinates, three arrays (f,) each.
+    """
     low, high = jnp.min(corners, axis=1) - extent[:, None], jnp.max(corners, axis=1) + extent[:, None]
     return (low[:, 0], low[:, 1], low[:, 2]), (high[:, 0], high[:, 1], high[:, 2])
 
 
 def boxes_meet(low: Vec, high: Vec, one: Array, two: Array, range: Array) -> Array:
-    """Whether the boxes `one` (m,) and `two` (m,) come within the range of one another."""
+    """Whether boxes `one` (m,) and `two` (m,) are within `range` of each other along every axis."""
     apart = [jnp.maximum(a[one] - b[two], a[two] - b[one]) for a, b in zip(low, high, strict=True)]
     return reduce(jnp.maximum, apart) <= range

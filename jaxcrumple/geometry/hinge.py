@@ -62,7 +62,7 @@ def dyad(a: Array, b: Array) -> Array:
 
 def gather(x: Array, nodes: Array) -> tuple[Vec, ...]:
     """Node positions `x` (n, 3) of elements `nodes` (m, k), as k vectors of components (m,)."""
-    # One gather for all: in kernels of their own they take twice as long, and to compile too.
+    # One gather for all k nodes: separate kernels take twice as long to run, and also to compile.
     parts = x.T[:, nodes.T]
     return tuple((parts[0, k], parts[1, k], parts[2, k]) for k in range(nodes.shape[1]))
 
@@ -78,7 +78,7 @@ def length(e: Vec) -> Array:
 
 
 class Hinge(NamedTuple):
-    """Everything a hinge's angle and its derivatives are made of (all arrays (m,) or Vec)."""
+    """Intermediate quantities of a hinge's angle and its derivatives (all arrays (m,) or Vec)."""
 
     e0: Vec
     e1: Vec
@@ -129,8 +129,8 @@ def hinge_gradient(hg: Hinge, slope: Array | float = 1.0) -> HingeGradient:
     """
     edge_sq = hg.edge_length * hg.edge_length
     a1, a2 = dot(hg.e1, hg.e0) / edge_sq, dot(hg.e2, hg.e0) / edge_sq
-    # XLA on CPU keeps the result of a division but repeats a product, with all that it is made of,
-    # in each of the twelve components: so the slope, with its sine and cosine, goes into the quotient.
+    # XLA on CPU stores the result of a division, but recomputes a product and its operands in each of the
+    # twelve components. So the slope, with its sine and cosine, goes into the quotient.
     weight = -slope * hg.edge_length
     g2 = scale(weight / dot(hg.n1, hg.n1), hg.n1)
     g3 = scale(weight / dot(hg.n2, hg.n2), hg.n2)
@@ -141,7 +141,7 @@ def hinge_gradient(hg: Hinge, slope: Array | float = 1.0) -> HingeGradient:
 
 # Node pairs (a, b) of a hinge whose 3x3 blocks hinge_hessian returns, in this order.
 HINGE_PAIRS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3), (2, 2), (2, 3), (3, 3))
-# Derivative of e0 by the four nodes.
+# Derivative of e0 with respect to the four nodes.
 _EDGE_SIGNS = np.array([-1.0, 1.0, 0.0, 0.0])
 
 
@@ -170,15 +170,16 @@ def hinge_hessian(hg: Hinge, first: Array, second: Array) -> Array:
     a, b = np.array(HINGE_PAIRS).T
     sa, sb = jnp.asarray(_EDGE_SIGNS[a], first.dtype), jnp.asarray(_EDGE_SIGNS[b], first.dtype)
     c = weights[a] * weights[b] + jnp.multiply.outer(sa * sb, shared)
-    # A loop over the pairs rather than one expression: XLA would fuse all of the above into it and
-    # compute it again for each of the ninety entries.
+    # A loop over the pairs: XLA would fuse everything above into a single expression and recompute it for
+    # each of the ninety entries.
     return jax.lax.map(block, (c, g[a], g[b], sa, sb))
 
 
 def _faces(hg: Hinge, gr: HingeGradient) -> tuple[Array, Array, Array]:
-    """Of both faces: w (4, 2, ...), $h^2/(2|e_0|^2)$ (2, ...), and the symmetric plane over $h^2$.
+    """Return the coefficients of `hinge_hessian` for both faces.
 
-    The plane is $\\hat n \\hat m^T + \\hat m \\hat n^T$.
+    These are w (4, 2, ...), $h^2/(2|e_0|^2)$ (2, ...) and, one (3, 3, ...) array for each face,
+    $(\\hat n \\hat m^T + \\hat m \\hat n^T)/h^2$.
     """
     edge_sq = hg.edge_length * hg.edge_length
     one, zero = jnp.ones_like(gr.a1), jnp.zeros_like(gr.a1)

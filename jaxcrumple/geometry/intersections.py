@@ -1,4 +1,4 @@
-"""Where a sheet passes through itself: edges that pierce triangles, found by a tree on the host."""
+"""Self-intersections of a sheet: edges that pierce triangles, found with a k-d tree on the host."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -6,12 +6,12 @@ from scipy.spatial import cKDTree
 
 from jaxcrumple._jax.memory import require, times_that_fit
 
-# Bytes of a pair of a segment and a triangle that is looked at.
+# Bytes per candidate pair of a segment and a triangle.
 PAIR = 60.0
 
 
 def intersections(x: ArrayLike, faces: ArrayLike, edges: ArrayLike) -> np.ndarray:
-    """Edges that pierce a triangle with which they share no node.
+    """Find the edges that pierce a triangle with which they share no node.
 
     Where two triangles intersect, an edge of one pierces the other. An edge that only touches a plane from
     one side does not count.
@@ -29,8 +29,12 @@ def intersections(x: ArrayLike, faces: ArrayLike, edges: ArrayLike) -> np.ndarra
 
 
 def close_pairs(ends: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Pairs (m, 2) of a segment and a triangle, of `ends` (k, 2, 3) and `corners` (f, 3, 3), whose bounding
-    boxes overlap."""
+    """Find the pairs of a segment and a triangle whose bounding boxes overlap.
+
+    **Arguments:** positions in m: `ends` (k, 2, 3) of the segments, `corners` (f, 3, 3) of the triangles.
+
+    **Returns:** (m, 2) rows of `ends` and of `corners`.
+    """
     low, high = corners.min(axis=1), corners.max(axis=1)
     first, last = ends.min(axis=1), ends.max(axis=1)
     center, middle = 0.5 * (low + high), 0.5 * (first + last)
@@ -47,7 +51,7 @@ def close_pairs(ends: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def pierces(ends: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Whether segments (m, 2, 3) pass through triangles (m, 3, 3), by the signs of five volumes."""
+    """Whether segments (m, 2, 3) pass through triangles (m, 3, 3), from the signs of five volumes."""
     start, end = ends[:, 0], ends[:, 1]
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
 

@@ -1,4 +1,4 @@
-"""Files: the folder of a run, its checkpoint, the film for ParaView, and reading it all back."""
+"""Files of a run: folder, checkpoint, ParaView film, and readers."""
 
 from jaxcrumple.io.atomic import RunDirectoryError
 from jaxcrumple.io.checkpoint import CheckpointError, load_checkpoint, save_checkpoint

@@ -1,4 +1,4 @@
-"""Whole-file writes that a kill or a full disk cannot leave half done."""
+"""Atomic file writes: a kill or a full disk never leaves a partial file."""
 
 from __future__ import annotations
 
@@ -19,36 +19,36 @@ _FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
 
 
 class RunDirectoryError(ValueError):
-    """A file or folder that cannot be written or read. The message names it, the cause and the cure."""
+    """A file or folder cannot be written or read. The message names the path, the cause and the cure."""
 
 
 def refusal(path: Path, error: OSError) -> RunDirectoryError:
-    """What to tell the user about a failed write to `path`."""
+    """Return the error to raise for a failed write to `path`, with its cause and cure."""
     cause = os.strerror(error.errno) if error.errno else str(error)
     if error.errno in _FULL:
-        cure = "free some space or choose an output folder on another disk; what was saved before is intact"
+        cure = "free some space or choose an output folder on another disk; earlier data is intact"
     elif error.errno in _FORBIDDEN:
-        cure = "choose an output folder you may write to, or change its permissions"
+        cure = "choose a writable output folder, or change its permissions"
     elif error.errno in (errno.ENOENT, errno.ENOTDIR, errno.EEXIST):
         cure = "check the path: its folder must exist and be a folder"
     elif error.errno == errno.ENAMETOOLONG:
         cure = "give a shorter name"
     else:
-        cure = "check the disk; what was saved before is intact"
+        cure = "check the disk; earlier data is intact"
     return RunDirectoryError(f"cannot write {str(path)!r}: {cause}; {cure}")
 
 
 def temporary(path: Path) -> Path:
-    """Where the beginning of a file is while it is written."""
+    """Return the path that holds the partial data while `path` is written."""
     return path.with_name(f".{path.name}.tmp")
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path in the folder of `path`; on success it becomes `path`, durably and at once.
+    """Yield a temporary path in the folder of `path`; on success, sync it and rename it to `path` atomically.
 
-    On failure it is removed and `path` stays as it was. After a kill the temporary file may stay behind; its
-    name is always the same, so the next write replaces it.
+    On failure, remove the temporary file and leave `path` unchanged. A kill may leave the temporary file
+    behind; its name is fixed, so the next write replaces it.
 
     **Raises:** `RunDirectoryError` for an OSError inside.
     """
@@ -66,33 +66,33 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_bytes(path: Path, data: bytes | memoryview) -> None:
-    """Write `data` to `path`, all or nothing. **Raises:** `RunDirectoryError`."""
+    """Write `data` to `path` atomically. **Raises:** `RunDirectoryError`."""
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write(data)
 
 
 def json_bytes(data: Mapping[str, Any]) -> bytes:
-    """Contents of a JSON file of `data`, which may hold NumPy numbers and arrays."""
+    """Encode `data` as a JSON file. `data` may contain NumPy numbers and arrays."""
     return (to_json(data, indent=2) + "\n").encode()
 
 
 def npz_bytes(arrays: Mapping[str, np.ndarray]) -> bytes:
-    """Contents of an npz file of named arrays."""
+    """Encode named arrays as an npz file."""
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)  # type: ignore[arg-type]
     return buffer.getvalue()
 
 
 def to_json(data: Mapping[str, Any], indent: int | None = None) -> str:
-    """JSON text of `data`; JSON has no numbers that are not finite, so these become null.
+    """Encode `data` as JSON text. JSON has no infinity or NaN: both become null.
 
-    **Raises:** TypeError for what has no JSON form.
+    **Raises:** TypeError for a value without a JSON form.
     """
     return json.dumps(_plain(data), indent=indent, allow_nan=False)
 
 
 def _plain(value: Any) -> Any:
-    """`value` in JSON types."""
+    """Convert `value` to JSON types."""
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -116,7 +116,7 @@ def _sync(path: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make the renaming itself durable, where the system lets folders be opened."""
+    """Sync the folder so that the rename is durable. Only POSIX systems can open a folder."""
     if os.name != "posix":
         return
     descriptor = os.open(folder, os.O_RDONLY)
@@ -127,8 +127,8 @@ def _sync_folder(folder: Path) -> None:
 
 
 def discard(path: Path) -> None:
-    """Remove a file that nobody needs, if it is there and can be removed."""
+    """Remove a file if it exists and can be removed."""
     try:
         path.unlink(missing_ok=True)
-    except OSError:  # its folder is gone or no folder: nothing is left behind
+    except OSError:  # the folder is missing or is a file, so the file does not exist
         return

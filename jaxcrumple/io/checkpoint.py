@@ -1,8 +1,8 @@
-"""Checkpoints: a whole pytree in one npz file, restored bit for bit or refused.
+"""Checkpoints: one npz file holds a whole pytree. Loading restores it bit for bit or raises an error.
 
-The file holds one array per leaf, named by its path in the tree, and a JSON header with what the file is, who
-may read it, and the type and shape of every leaf. Arrays are stored uncompressed; the checksums of the zip
-container tell a damaged file.
+The file contains one array per leaf, named by the path of the leaf in the tree. A JSON header gives the
+format, its version, the fingerprint, and the type and shape of every leaf. Arrays are stored uncompressed;
+the checksums of the zip container detect damage.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Tree = TypeVar("Tree")
 
 
 class CheckpointError(ValueError):
-    """A checkpoint that cannot be used. The message names the cause and the cure."""
+    """A checkpoint cannot be saved or loaded. The message names the cause and the cure."""
 
 
 def save_checkpoint(
@@ -40,15 +40,15 @@ def save_checkpoint(
     *,
     fingerprint: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write the arrays and numbers of a pytree `state`, all or nothing.
+    """Write the arrays and numbers of a pytree `state` atomically.
 
-    Leaves that are neither (functions, strings) are taken to be part of the structure and are not saved.
+    Other leaves (functions, strings) count as structure and are not saved.
 
-    **Arguments:** `metadata`: anything JSON can hold, NumPy numbers included. `fingerprint`: what a state
-    must agree on with its reader, for example hashes of mesh and config; `load_checkpoint` compares it.
+    **Arguments:** `metadata`: any JSON value, NumPy numbers included. `fingerprint`: values that writer and
+    reader must share, for example hashes of mesh and config; `load_checkpoint` compares them.
 
-    **Raises:** `RunDirectoryError` if the file cannot be written; the old one is intact then.
-    `CheckpointError` for a leaf that no npz file can hold.
+    **Raises:** `RunDirectoryError` if the file cannot be written; the old file then stays intact.
+    `CheckpointError` for a leaf that npz cannot store.
     """
     write_bytes(Path(path), pack_checkpoint(state, metadata, fingerprint=fingerprint))
 
@@ -59,7 +59,7 @@ def pack_checkpoint(
     *,
     fingerprint: Mapping[str, Any] | None = None,
 ) -> bytes:
-    """Contents of a checkpoint's file, as `save_checkpoint` writes them."""
+    """Encode a checkpoint as `save_checkpoint` writes it."""
     leaves = _leaves(state)
     header = {
         "format": FORMAT,
@@ -73,7 +73,7 @@ def pack_checkpoint(
 
 
 def read_metadata(path: str | Path) -> dict[str, Any]:
-    """Metadata of a checkpoint all of whose arrays are sound. **Raises:** `CheckpointError`."""
+    """Return the metadata of a checkpoint and verify all its arrays. **Raises:** `CheckpointError`."""
     path = Path(path)
     return _read_header(path, _read_members(path))["metadata"]
 
@@ -84,13 +84,13 @@ def load_checkpoint(
 ) -> tuple[Tree, dict[str, Any]]:
     """Read a checkpoint into the structure of `like`.
 
-    **Arguments:** `like`: a pytree of the structure, shapes and types that were saved; its numbers do not
-    matter. `fingerprint`: if given, must equal what was saved.
+    **Arguments:** `like`: a pytree with the saved structure, shapes and types; its values are ignored.
+    `fingerprint`: if given, must equal the saved one.
 
-    **Returns:** the state, bit for bit what was saved, and the metadata.
+    **Returns:** the state, bit for bit as saved, and the metadata.
 
-    **Raises:** `CheckpointError` if the file is missing, foreign, damaged, of another version, made with
-    another fingerprint, or does not fit `like`.
+    **Raises:** `CheckpointError` if the file is missing, damaged, not a checkpoint, of another version, or if
+    its fingerprint or structure does not match.
     """
     path = Path(path)
     members = _read_members(path)
@@ -111,7 +111,7 @@ def load_checkpoint(
 
 
 def _leaves(tree: Any) -> dict[str, Any]:
-    """Leaves that hold numbers, by their path."""
+    """Return the numeric leaves of a tree, keyed by path."""
     pairs, _ = jax.tree_util.tree_flatten_with_path(tree)
     return {jax.tree_util.keystr(key): leaf for key, leaf in pairs if _has_numbers(leaf)}
 
@@ -148,7 +148,7 @@ def _restore(path: Path, name: str, members: dict[str, bytes], description: dict
         return {"numpy": value, "scalar": value[()], "python": value.tolist()}[description["kind"]]
     if not description["weak"]:
         return jnp.array(value)
-    # A weak type is that of a Python number and decides what a compiled function is looked up by: keep it.
+    # Keep the weak type (that of a Python number): it is part of the key in the JIT cache.
     weak = jnp.broadcast_to(jnp.asarray(value.dtype.type(0).item()), value.shape)
     return weak.at[...].set(value)
 
@@ -157,7 +157,7 @@ def _restore(path: Path, name: str, members: dict[str, bytes], description: dict
 
 
 def _read_members(path: Path) -> dict[str, bytes]:
-    """All members of the file; reading one to its end compares its checksum."""
+    """Read all members of the file; zipfile verifies the checksum of each member."""
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "does not exist"
         raise CheckpointError(f"checkpoint {str(path)!r} {what}; check the path, or start the run again")
@@ -165,12 +165,12 @@ def _read_members(path: Path) -> dict[str, bytes]:
         data = path.read_bytes()
         if not data.startswith(b"PK\x03\x04"):
             what = "is empty" if not data else "is not an npz file"
-            raise CheckpointError(f"{str(path)!r} {what}, so it is no checkpoint; {_RESTORE}")
+            raise CheckpointError(f"{str(path)!r} {what}, so it is not a checkpoint; {_RESTORE}")
         with zipfile.ZipFile(io.BytesIO(data)) as file:
             return {name.removesuffix(".npy"): file.read(name) for name in file.namelist()}
     except CheckpointError:
         raise
-    except Exception as error:  # zipfile meets damage with exceptions of many types
+    except Exception as error:  # zipfile raises exceptions of many types for a damaged file
         raise CheckpointError(
             f"checkpoint {str(path)!r} is truncated or damaged ({error}); {_RESTORE}"
         ) from error
@@ -186,7 +186,7 @@ def _array(path: Path, members: dict[str, bytes], name: str) -> np.ndarray:
 
 
 def _read_header(path: Path, members: dict[str, bytes]) -> dict[str, Any]:
-    foreign = f"{str(path)!r} is an npz file but no checkpoint of jaxcrumple; check the path"
+    foreign = f"{str(path)!r} is an npz file but not a jaxcrumple checkpoint; check the path"
     if _HEADER not in members:
         raise CheckpointError(foreign)
     try:
@@ -213,7 +213,7 @@ def _check_fingerprint(path: Path, saved: dict[str, Any], given: Mapping[str, An
     for key in sorted(saved.keys() | expected.keys()):
         if saved.get(key) != expected.get(key):
             raise CheckpointError(
-                f"checkpoint {str(path)!r} was made with {key} = {saved.get(key)!r}, this run has "
+                f"checkpoint {str(path)!r} was written with {key} = {saved.get(key)!r}, this run has "
                 f"{expected.get(key)!r}; resume with the same settings, or start a new run"
             )
 

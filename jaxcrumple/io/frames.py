@@ -1,4 +1,4 @@
-"""Frames: the saved states of a run, and the mesh they live on, as npz files."""
+"""Frames (saved states of a run) and their mesh as npz files."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Frame(NamedTuple):
 
 
 def pack_frame(frame: Frame) -> bytes:
-    """Contents of a frame's file."""
+    """Encode a frame as an npz file."""
     arrays = {"t": np.asarray(frame.t), "x": np.asarray(frame.x), "v": np.asarray(frame.v)}
     if frame.p is not None:
         arrays["p"] = np.asarray(frame.p)
@@ -32,7 +32,7 @@ def pack_frame(frame: Frame) -> bytes:
 
 
 def unpack_frame(path: Path, data: bytes) -> Frame:
-    """The frame of a file's contents. **Raises:** `RunDirectoryError` if they are not those of a frame."""
+    """Decode a frame. **Raises:** `RunDirectoryError` if `data` is not a frame."""
     arrays = _unpack(path, data, ("t", "x", "v"))
     return Frame(float(arrays["t"]), arrays["x"], arrays["v"], arrays.get("p"))
 
@@ -43,14 +43,16 @@ _MESH, _STIFFNESS = ("vertices", "faces", "source_nodes"), ("stretch_stiffness",
 
 
 def pack_mesh(mesh: Mesh, stiffness: Stiffness) -> bytes:
-    """Contents of a file of nodes, faces in order, rest positions and origin of a mesh, to the last bit, and
-    of the sheet's stiffness."""
+    """Encode rest positions, ordered faces and source nodes of a mesh, and the stiffness of the sheet.
+
+    The file restores every array bit for bit.
+    """
     arrays = {name: getattr(mesh, name) for name in _MESH}
     return npz_bytes({**arrays, **dict(zip(_STIFFNESS, stiffness, strict=True))})
 
 
 def unpack_mesh(path: Path, data: bytes) -> tuple[Mesh, Stiffness]:
-    """Mesh and stiffness of a file's contents; every array equals what was saved.
+    """Decode a mesh and the stiffness of the sheet; every array equals the saved one.
 
     **Raises:** `RunDirectoryError`.
     """

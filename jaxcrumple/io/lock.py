@@ -1,4 +1,4 @@
-"""One writer per run folder."""
+"""File lock that allows one writer per run folder."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ LOCK = ".lock"
 
 @contextmanager
 def writing(folder: Path, *, wait: bool = False) -> Iterator[None]:
-    """Hold the lock of an existing run folder; it ends with the process at the latest. Readers need none.
+    """Hold the lock of an existing run folder. Readers need no lock.
 
-    A thread that holds the lock may take it again. `wait`: for another writer to end, instead of refusing.
+    The end of the process releases the lock. A thread that holds the lock may acquire it again. `wait`: wait
+    for another writer to finish instead of raising an error.
 
-    **Raises:** `RunDirectoryError` if another process or thread writes into the folder.
+    **Raises:** `RunDirectoryError` if another process or thread holds the lock.
     """
     try:
-        # One object per file and thread, which counts how often it is held.
+        # The singleton (one object per file and thread) counts acquisitions, so that the lock is reentrant.
         lock = FileLock(folder.absolute() / LOCK, is_singleton=True)
         lock.acquire(timeout=-1 if wait else 0)
     except Timeout as error:

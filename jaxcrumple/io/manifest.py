@@ -1,7 +1,7 @@
-"""The manifest of a run folder: which files belong to the run, and their checksums.
+"""The manifest of a run folder lists the files that belong to the run, with their checksums.
 
-The manifest is replaced as a whole, after everything it names is on the disk. So the folder holds what the
-last manifest names; rows and files beyond it come from writes that were cut off.
+The program replaces the whole manifest atomically after everything it lists is on disk. The folder therefore
+contains all that the last manifest lists; further rows and files come from interrupted writes.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Entry(NamedTuple):
 
 
 class Prefix(NamedTuple):
-    """The part of a table that belongs to the run: `size` in bytes, `rows` below the header, checksum."""
+    """The valid part of a table: `size` in bytes, number of `rows` below the header, and checksum."""
 
     size: int
     rows: int
@@ -42,9 +42,9 @@ EMPTY = Prefix(0, 0, hashlib.sha256().hexdigest())
 
 @dataclass(frozen=True)
 class Manifest:
-    """What belongs to a run: whole `files` and `tables` by name, and the name of the current `checkpoint`.
+    """The contents of a run: `files` and `tables` by name, and the name of the current `checkpoint`.
 
-    The tables include the list of frames, whose rows hold the checksums of the frames' files.
+    The table frames.csv lists the frames; each of its rows holds the checksum of a frame file.
     """
 
     files: Mapping[str, Entry] = field(default_factory=dict)
@@ -52,7 +52,7 @@ class Manifest:
     checkpoint: str | None = None
 
     def plain(self) -> dict[str, Any]:
-        """The manifest as JSON types; `Manifest.of` takes it back."""
+        """Return the manifest as JSON types, the inverse of `Manifest.of`."""
         return {
             "files": {name: list(entry) for name, entry in self.files.items()},
             "tables": {name: list(prefix) for name, prefix in self.tables.items()},
@@ -61,7 +61,7 @@ class Manifest:
 
     @classmethod
     def of(cls, plain: Any) -> Manifest:
-        """The manifest of JSON types. **Raises:** ValueError for what `plain` never returns."""
+        """Build the manifest from the output of `plain`. **Raises:** ValueError for incomplete data."""
         try:
             files = {str(name): Entry(int(size), str(sha)) for name, (size, sha) in plain["files"].items()}
             tables = {name: Prefix(*plain["tables"][name]) for name in TABLES}
@@ -70,16 +70,16 @@ class Manifest:
             raise ValueError(f"its contents are incomplete ({error!r})") from error
 
     def with_files(self, files: Mapping[str, Entry]) -> Manifest:
-        """The manifest with further files, or others of the same names."""
+        """Return a copy with `files` added; a file of the same name is replaced."""
         return replace(self, files={**self.files, **files})
 
     def without(self, *names: str) -> Manifest:
-        """The manifest without files of these names."""
+        """Return a copy without the files of these names."""
         return replace(self, files={name: entry for name, entry in self.files.items() if name not in names})
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """The manifest of a run folder. **Raises:** `RunDirectoryError` if it is missing or damaged."""
+    """Read the manifest of a run folder. **Raises:** `RunDirectoryError` if it is missing or damaged."""
     path = folder / MANIFEST
     try:
         return Manifest.of(unsealed(path.read_bytes(), FORMAT, VERSION))
@@ -90,33 +90,33 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:
-    """Commit: from here on the folder holds what the manifest names. **Raises:** `RunDirectoryError`."""
+    """Commit: make all that `manifest` lists part of the run. **Raises:** `RunDirectoryError`."""
     write_bytes(folder / MANIFEST, sealed(manifest.plain(), FORMAT, VERSION))
 
 
 def entry_of(data: bytes | memoryview) -> Entry:
-    """Size and checksum of a file's contents."""
+    """Return size and checksum of the contents of a file."""
     return Entry(len(data), hashlib.sha256(data).hexdigest())
 
 
 def sealed(contents: Mapping[str, Any], form: str, version: int) -> bytes:
-    """JSON text of `contents` with the name and version of its format, and with its own checksum."""
+    """Encode `contents` as JSON with the name and version of the format and a checksum."""
     plain = json.loads(to_json(contents))
     sha256 = _checksum(plain, form, version)
     return json_bytes({"format": form, "version": version, "sha256": sha256, "contents": plain})
 
 
 def unsealed(data: bytes, form: str, version: int) -> dict[str, Any]:
-    """Contents of a text that `sealed` made. **Raises:** ValueError for another or a damaged one."""
+    """Decode the output of `sealed`. **Raises:** ValueError if `data` is damaged or has another format."""
     try:
         whole = json.loads(data.decode())
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"it is no JSON ({error})") from error
+        raise ValueError(f"it is not JSON ({error})") from error
     if not isinstance(whole, dict) or whole.get("format") != form:
         raise ValueError(f"it is not of the format {form!r}")
     contents, found = whole.get("contents"), whole.get("version")
     if whole.get("sha256") != _checksum(contents, form, found) or not isinstance(contents, dict):
-        raise ValueError("its checksum does not fit its contents")
+        raise ValueError("its checksum does not match its contents")
     if found != version:
         raise VersionError(
             f"its format version is {found}, this program reads {version}; use the version of jaxcrumple "
@@ -126,7 +126,7 @@ def unsealed(data: bytes, form: str, version: int) -> dict[str, Any]:
 
 
 class VersionError(ValueError):
-    """A sound file of another version of its format."""
+    """An undamaged file has another format version."""
 
 
 def _checksum(contents: Any, form: str, version: Any) -> str:

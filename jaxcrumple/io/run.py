@@ -1,4 +1,4 @@
-"""Reading a run back."""
+"""Read the output of a run."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from jaxcrumple.io.atomic import RunDirectoryError
 from jaxcrumple.io.rundir import RunDirectory
 from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
-# Times that a folder is read again where it changed meanwhile.
+# Maximum number of attempts to read a folder that changes during the read.
 TRIES = 10
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run:
-    """What a run left behind, finished or not.
+    """The output of a run, finished or not.
 
-    In `history` the column `kind` is 0 for a step, 1 for the last state of a stage, 2 for the first of the
-    next.
+    The column `kind` of `history` is 0 for a step, 1 for the last state of a stage and 2 for the first state
+    of the next stage.
     """
 
     t: FloatArray  # (f,) times of the frames [s]
     x: FloatArray  # (f, n, 3) positions [m]
     v: FloatArray  # (f, n, 3) velocities [m/s]
-    p: FloatArray  # (f, h) rest curvature of the hinges; that of the mesh in an elastic run
+    p: FloatArray  # (f, h) rest curvature of the hinges; equal to that of the mesh in an elastic run
     mesh: Mesh
-    config: dict[str, Any]  # what was asked for
-    summary: dict[str, Any]  # how it ended; empty if the run is still going or was killed
+    config: dict[str, Any]  # settings of the run
+    summary: dict[str, Any]  # final result; empty if the run is in progress or was killed
     history: pd.DataFrame  # one row per logged step, columns of `jaxcrumple.solvers.log.Row`
-    events: pd.DataFrame  # switches and the like
+    events: pd.DataFrame  # changes of stage
 
     def __repr__(self) -> str:
         scene, result = self.config.get("scene"), self.summary.get("result", "unfinished")
@@ -43,22 +43,22 @@ class Run:
 
 
 def load(path: str | Path) -> Run:
-    """Read the output folder of a run, all frames into memory; what is read is compared with its checksums.
+    """Read the output folder of a run, with all frames, into memory and verify the checksums.
 
-    A run that is still going is read as it was at its last checkpoint.
+    For a run in progress, return its state at the last checkpoint.
 
-    **Raises:** `RunDirectoryError` if the folder is missing, is not a run, has no frames yet, or a file of it
-    is missing or damaged.
+    **Raises:** `RunDirectoryError` if the folder is missing, is not a run or has no frames yet, or if one of
+    its files is missing or damaged.
     """
     for _ in range(TRIES):
         folder = RunDirectory.open(path)
         try:
             return _read(folder)
         except RunDirectoryError:
-            # Beside a run that goes back to a checkpoint, files that were named a moment ago are gone.
+            # A concurrent run that returns to an earlier checkpoint deletes files of the old manifest.
             if RunDirectory.open(path).manifest == folder.manifest:
                 raise
-    raise RunDirectoryError(f"run {str(path)!r} is being written too fast to read it; try again")
+    raise RunDirectoryError(f"run {str(path)!r} changes faster than it can be read; try again")
 
 
 def _read(folder: RunDirectory) -> Run:

@@ -1,18 +1,18 @@
 """The folder of one run.
 
-    run.json        what was asked for, and a sketch of what was built from it
-    manifest.json   which files and rows belong to the run, with their checksums
-    mesh.npz        the sheet
+    run.json        settings of the run, and a sketch (numeric fingerprint) of the scene built from them
+    manifest.json   files and rows that belong to the run, with their checksums
+    mesh.npz        mesh and stiffness of the sheet
     frames/         one npz per saved state, listed in frames.csv
     history.csv     one line per logged step
     events.csv      one line per change of stage
-    checkpoints/    whole states to go on from: the last one, and a few earlier ones
-    summary.json    how it ended; absent while the run is going and after a kill
-    run.vtkhdf      the film for ParaView
+    checkpoints/    restart states: the last one, and a few earlier ones
+    summary.json    final result; absent during the run and after a kill
+    run.vtkhdf      film for ParaView
 
-Every whole file is written all or nothing, and tables grow by appending. The manifest is replaced last: what
-it names is the run, what it does not name was cut off by a kill and is dropped when the run goes on. Whoever
-reads a file compares it with its checksum first.
+The program writes each file atomically and appends rows to the tables. It replaces the manifest last. Files
+and rows that the manifest does not list come from an interrupted write; a resumed run removes them. Every
+reader verifies the checksum of a file first.
 """
 
 from __future__ import annotations
@@ -57,20 +57,20 @@ from jaxcrumple.state import STAGES, Work
 
 FORMAT, VERSION = "jaxcrumple-run", 2
 RUN, MESH, SUMMARY, FILM = "run.json", "mesh.npz", "summary.json", "run.vtkhdf"
-# The film of a run that has not ended: no part of the run.
+# The film of an unfinished run; it does not belong to the run.
 PARTIAL = "partial.vtkhdf"
 FRAMES, CHECKPOINTS = "frames", "checkpoints"
-# Two names in turn, so that the last checkpoint is whole while the next one is written.
+# Two alternating names, so that the last checkpoint stays intact while the next one is written.
 LATEST = (f"{CHECKPOINTS}/latest-0.npz", f"{CHECKPOINTS}/latest-1.npz")
 FRAME_COLUMNS = ("index", "t", "size", "sha256")
 _NUMBERS = {"t", "h", "acceleration", "acceleration_mean", "error", *ENERGIES}
 _WORK = {f"work_{name}" for name in Work._fields}
-#: Columns of the history that count something and are written without a decimal point.
+#: Integer columns of the history, written without a decimal point.
 INTEGERS = frozenset(Row._fields) - _NUMBERS - _WORK - {"stage"}
 
 
 class Counts(NamedTuple):
-    """How much a run has written."""
+    """Numbers of rows and frames that a run has written."""
 
     history_rows: int
     event_rows: int
@@ -78,7 +78,7 @@ class Counts(NamedTuple):
 
 
 class RunDirectory:
-    """One run's output folder. Make it with `create` or `open`; who writes holds its lock (`writing`)."""
+    """The output folder of one run. Use `create` or `open`; a writer must hold the lock (`lock.writing`)."""
 
     def __init__(self, path: Path, contents: Mapping[str, Any], manifest: Manifest) -> None:
         self.path, self.contents, self.manifest = path, contents, manifest
@@ -99,12 +99,12 @@ class RunDirectory:
         stiffness: Stiffness,
         built: Mapping[str, Any] | None = None,
     ) -> RunDirectory:
-        """Begin a run in a folder that `check_free` accepts, which is made where it is missing.
+        """Start a run in a free folder (see `check_free`); create the folder if it is missing.
 
-        **Arguments:** `config`, `built`: JSON types or NumPy, kept in `run.json`; `stiffness`: of the edges
+        **Arguments:** `config`, `built`: JSON types or NumPy, stored in `run.json`; `stiffness`: of the edges
         (e,) in N/m and of the hinges (h,) in J.
 
-        **Raises:** `RunDirectoryError` if the folder is taken or cannot be written.
+        **Raises:** `RunDirectoryError` if the folder is occupied or cannot be written.
         """
         path = make_folder(path)
         return cls.begin(path, config, mesh, stiffness, built)
@@ -118,7 +118,7 @@ class RunDirectory:
         stiffness: Stiffness,
         built: Mapping[str, Any] | None,
     ) -> RunDirectory:
-        """As `create`, in a folder without files of a run, whatever else it holds."""
+        """Start a run as `create` does, in a folder without run files; other files are allowed."""
         contents = json.loads(to_json({"config": config, "built": built or {}}))
         begun = {RUN: sealed(contents, FORMAT, VERSION), MESH: pack_mesh(mesh, stiffness)}
         entries = {name: _write(path / name, data) for name, data in begun.items()}
@@ -129,16 +129,15 @@ class RunDirectory:
 
     @staticmethod
     def check_free(path: str | Path) -> None:
-        """Make sure that nothing is in the way and that the place may be written. Nothing is changed.
+        """Check that `path` is free and writable. Change nothing.
 
-        **Raises:** `RunDirectoryError` if the path is a file, a folder that is not empty, or in a folder
-        without permission to write.
+        **Raises:** `RunDirectoryError` if the path is a file or a non-empty folder, or if it is not writable.
         """
         path = Path(path)
         try:
             if path.exists() and not path.is_dir():
                 raise RunDirectoryError(f"{str(path)!r} is a file; choose a new folder for the output")
-            # A kill before the first manifest leaves the beginnings of these, which are replaced.
+            # A kill before the first manifest leaves some of these files; the new run replaces them.
             begun = {LOCK, RUN, MESH, *(temporary(Path(name)).name for name in (RUN, MESH, MANIFEST))}
             occupied = path.is_dir() and any(entry.name not in begun for entry in path.iterdir())
         except OSError as error:
@@ -152,10 +151,10 @@ class RunDirectory:
 
     @classmethod
     def open(cls, path: str | Path) -> RunDirectory:
-        """The folder of an earlier run, to read it or go on. Nothing is changed.
+        """Open the folder of an existing run, to read or resume it. Change nothing.
 
-        **Raises:** `RunDirectoryError` if it does not exist, is not a run, is of another version, or if its
-        manifest or `run.json` is damaged.
+        **Raises:** `RunDirectoryError` if the folder does not exist, is not a run or has another format
+        version, or if its manifest or `run.json` is damaged.
         """
         path = Path(path)
         if not path.is_dir():
@@ -175,12 +174,12 @@ class RunDirectory:
 
     @property
     def config(self) -> dict[str, Any]:
-        """What was asked for."""
+        """Settings of the run."""
         return self.contents["config"]
 
     @property
     def built(self) -> dict[str, Any]:
-        """A sketch of what was built from it."""
+        """Sketch (numeric fingerprint) of the scene built from `config`."""
         return self.contents["built"]
 
     @property
@@ -194,47 +193,47 @@ class RunDirectory:
 
     @property
     def finished(self) -> bool:
-        """Whether the run came to an end."""
+        """Whether the run has ended."""
         return SUMMARY in self.manifest.files
 
-    # Reading. What is damaged is refused, with the cure.
+    # Reading. A damaged file raises an error that names the cure.
 
     def load_mesh(self) -> Mesh:
-        """The mesh as it was saved, bit for bit."""
+        """Return the mesh, bit for bit as saved."""
         return self.load_sheet()[0]
 
     def load_sheet(self) -> tuple[Mesh, Stiffness]:
-        """The mesh, and the stiffness of its edges (e,) in N/m and of its hinges (h,) in J."""
+        """Return the mesh, and the stiffness of its edges (e,) in N/m and of its hinges (h,) in J."""
         return unpack_mesh(self.path / MESH, self.read(MESH))
 
     def load_frames(self) -> Iterator[Frame]:
-        """All frames, one after the other."""
+        """Yield all frames in order."""
         table = self._read_table(self._frames)
         for index, size, sha in zip(table["index"], table["size"], table["sha256"], strict=True):
             name = frame_name(index)
             yield unpack_frame(self.path / name, self.read(name, Entry(size, str(sha))))
 
     def read_history(self) -> pd.DataFrame:
-        """The history as a table."""
+        """Return the history as a table."""
         return self._read_table(self.history)
 
     def read_events(self) -> pd.DataFrame:
-        """The events as a table."""
+        """Return the events as a table."""
         return self._read_table(self.events)
 
     def read_summary(self) -> dict[str, Any]:
-        """How the run ended; empty if it has not, or was killed."""
+        """Return the final result of the run; empty if the run is in progress or was killed."""
         return json.loads(self.read(SUMMARY)) if self.finished else {}
 
     def read(self, name: str, entry: Entry | None = None) -> bytes:
-        """Contents of a file that belongs to the run. **Raises:** `RunDirectoryError`."""
+        """Return the verified contents of a file of the run. **Raises:** `RunDirectoryError`."""
         try:
             return checked(self.path, name, entry or self.manifest.files.get(name))
         except RunDirectoryError as error:
             raise RunDirectoryError(f"{error}; {cure(self.path)}") from error
 
     def is_sound(self, name: str) -> bool:
-        """Whether a whole file belongs to the run and is as it was written."""
+        """Return whether the manifest lists a file and the file is undamaged."""
         try:
             checked(self.path, name, self.manifest.files.get(name))
         except RunDirectoryError:
@@ -247,7 +246,7 @@ class RunDirectory:
         except RunDirectoryError as error:
             raise RunDirectoryError(f"{error}; {cure(self.path)}") from error
 
-    # Writing. Nothing belongs to the run before `commit` or `finish`.
+    # Writing. New data belongs to the run only after `commit` or `finish`.
 
     def save_frame(self, t: float, x: ArrayLike, v: ArrayLike, p: ArrayLike | None) -> None:
         """Write the next frame.
@@ -261,19 +260,19 @@ class RunDirectory:
         self._frames.append([[index, float(t), *entry]])
 
     def append_history(self, rows: ArrayLike) -> None:
-        """Add rows (r, columns) to the history. Stages may be numbers or words, and are written as words."""
+        """Append rows (r, columns) to the history. Stages may be numbers or names; the file stores names."""
         names = self.history.columns
         values = np.asarray(rows, dtype=object).reshape(-1, len(names))
         self.history.append([[_entry(c, v) for c, v in zip(names, row, strict=True)] for row in values])
 
     def append_events(self, events: Sequence[Mapping[str, Any]]) -> None:
-        """Add changes of stage."""
+        """Append changes of stage."""
         self.events.append([[event.get(c) for c in EVENT_COLUMNS] for event in events])
 
     def commit(self, state: Any, metadata: Mapping[str, Any], *, keep: bool = False) -> None:
-        """Write a checkpoint, and make it and all rows and frames so far part of the run.
+        """Write a checkpoint; make it and all rows and frames so far part of the run.
 
-        `keep`: also when later ones follow, so that the run can go back to it where something is damaged.
+        `keep`: keep this checkpoint after later ones, so that `jaxcrumple repair` can return to it.
         """
         last = self.manifest.checkpoint
         name = f"{CHECKPOINTS}/frame-{self._frames.count:05d}.npz" if keep else LATEST[last == LATEST[0]]
@@ -291,13 +290,13 @@ class RunDirectory:
             discard(self.path / other)
 
     def finish(self, summary: Mapping[str, Any]) -> None:
-        """Write how the run ended, and make that and the film, if there is one, part of the run."""
+        """Write the summary; make it and the film, if one exists, part of the run."""
         entry = _write(self.path / SUMMARY, json_bytes(summary))
         self._set(self.manifest.with_files({SUMMARY: entry, **self._film()}))
         discard(self.path / PARTIAL)
 
     def add_film(self) -> None:
-        """Make a film that was written again part of the run."""
+        """Make a rewritten film part of the run."""
         self._set(self.manifest.with_files(self._film()))
 
     def _film(self) -> dict[str, Entry]:
@@ -305,9 +304,9 @@ class RunDirectory:
         return {FILM: entry_of(film.read_bytes())} if film.exists() else {}
 
     def cut(self) -> None:
-        """Remove what does not belong to the run: what a kill cut off, and the ending of one that goes on.
+        """Remove interrupted writes, and the summary and film of a run that resumes.
 
-        **Raises:** `RunDirectoryError` if a table is damaged or something cannot be removed.
+        **Raises:** `RunDirectoryError` if a table is damaged or a file cannot be removed.
         """
         self._drop_ending()
         for table in self._tables:
@@ -323,7 +322,7 @@ class RunDirectory:
             raise refusal(self.path, error) from error
 
     def clear(self) -> None:
-        """Remove all files of the run but `run.json`."""
+        """Remove all files of the run except `run.json`."""
         files = [MANIFEST, MESH, SUMMARY, FILM, PARTIAL, *(table.path.name for table in self._tables)]
         try:
             for path in (*(self.path / name for name in files), *self.path.glob(f"{FRAMES}/*")):
@@ -334,7 +333,7 @@ class RunDirectory:
             raise refusal(self.path, error) from error
 
     def _drop_ending(self) -> None:
-        """Take back the summary and the film, which a run that goes on makes untrue."""
+        """Remove the summary and the film, which are invalid once the run resumes."""
         if self.finished or FILM in self.manifest.files:
             self._set(self.manifest.without(SUMMARY, FILM))
         try:
@@ -349,12 +348,12 @@ class RunDirectory:
 
 
 def is_run(path: Path) -> bool:
-    """Whether a folder holds a run, or what is left of one."""
+    """Return whether a folder holds a run or its remains."""
     return (path / MANIFEST).exists() or (path / CHECKPOINTS).is_dir()
 
 
 def make_folder(path: str | Path) -> Path:
-    """The folder of a run to come, made with its parents. **Raises:** `RunDirectoryError`."""
+    """Create the folder of a new run, with its parents. **Raises:** `RunDirectoryError`."""
     path = Path(path)
     RunDirectory.check_free(path)
     try:
@@ -365,12 +364,12 @@ def make_folder(path: str | Path) -> Path:
 
 
 def frame_name(index: int) -> str:
-    """Name of a frame's file in the folder of its run."""
+    """Return the name of a frame file, relative to the run folder."""
     return f"{FRAMES}/{index:05d}.npz"
 
 
 def read_contents(path: Path, data: bytes) -> dict[str, Any]:
-    """Contents of the `run.json` of a folder. **Raises:** `RunDirectoryError`."""
+    """Decode the contents of `run.json`. **Raises:** `RunDirectoryError`."""
     try:
         return unsealed(data, FORMAT, VERSION)
     except ValueError as error:
@@ -378,10 +377,10 @@ def read_contents(path: Path, data: bytes) -> dict[str, Any]:
 
 
 def checked(folder: Path, name: str, entry: Entry | None) -> bytes:
-    """Contents of a file that a manifest names. **Raises:** `RunDirectoryError` if they are others."""
+    """Read a file and verify it. **Raises:** `RunDirectoryError` if it does not match its manifest entry."""
     path = folder / name
     if entry is None:
-        raise RunDirectoryError(f"{str(path)!r} is not part of the run: it was not saved this far")
+        raise RunDirectoryError(f"{str(path)!r} is not part of the run: the run has not saved it yet")
     try:
         data = path.read_bytes()
     except FileNotFoundError as error:
@@ -389,17 +388,17 @@ def checked(folder: Path, name: str, entry: Entry | None) -> bytes:
     except OSError as error:
         raise RunDirectoryError(f"{str(path)!r} cannot be read: {error.strerror}") from error
     if entry_of(data) != entry:
-        raise RunDirectoryError(f"{str(path)!r} is damaged: its checksum is not what the run wrote")
+        raise RunDirectoryError(f"{str(path)!r} is damaged: its checksum does not match")
     return data
 
 
 def cure(path: Path) -> str:
-    """What to do about a damaged folder."""
-    return f"restore it from a copy, or go back to what is sound: jaxcrumple repair {path}"
+    """Return the instruction to repair a damaged folder."""
+    return f"restore it from a copy, or return to the last undamaged checkpoint: jaxcrumple repair {path}"
 
 
 def _write(path: Path, data: bytes) -> Entry:
-    """Write a whole file, and its folder if need be; its entry in the manifest."""
+    """Write a file, create its folder if missing, and return its manifest entry."""
     try:
         path.parent.mkdir(exist_ok=True)
     except OSError as error:

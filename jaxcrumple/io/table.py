@@ -1,4 +1,4 @@
-"""A CSV file that grows by whole rows, of which a known part belongs to the run."""
+"""A CSV file that grows by whole rows; its valid part is recorded in the manifest."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from jaxcrumple.io.manifest import EMPTY, Prefix
 
 
 class Table:
-    """Rows at `path` under one header line, up to the end of `prefix`. What follows there does not count.
+    """The rows of a CSV file below its header line, up to the end of `prefix`; later bytes are ignored.
 
-    No cell holds a line break, so a row is a line.
+    No cell contains a line break, so each row is one line.
     """
 
     def __init__(self, path: Path, columns: Sequence[str], prefix: Prefix = EMPTY) -> None:
         self.path, self.columns, self._prefix = path, list(columns), prefix
-        self._hash: Any = None  # of the bytes so far, known once they were read or written
+        self._hash: Any = None  # hash of the valid bytes; None until they are read or written
 
     @property
     def prefix(self) -> Prefix:
-        """What belongs to the run, for the manifest."""
+        """The valid part of the table, for the manifest."""
         return self._prefix
 
     @property
@@ -38,10 +38,10 @@ class Table:
         return self._prefix.rows
 
     def append(self, rows: Iterable[Sequence[Any]]) -> None:
-        """Add `rows`, below a header if there is none; numbers keep all their digits.
+        """Append `rows`, after a header line if the table is empty; numbers keep all digits.
 
-        **Raises:** `RunDirectoryError` if the file cannot be written, and then none of the rows is, or if
-        what was there is damaged.
+        **Raises:** `RunDirectoryError` if the file cannot be written (then no row is added), or if the
+        existing rows are damaged.
         """
         lines = _csv(rows)
         count = lines.count(b"\n")
@@ -57,11 +57,11 @@ class Table:
         self._prefix = Prefix(size + len(lines), before + count, running.hexdigest())
 
     def check(self) -> None:
-        """**Raises:** `RunDirectoryError` if the file lacks a part that belongs to it, or holds another."""
+        """Verify the table. **Raises:** `RunDirectoryError` if its valid part is incomplete or changed."""
         self._data()
 
     def cut(self) -> None:
-        """Remove what does not belong to the run. **Raises:** as `check`."""
+        """Remove the rows after the valid part. **Raises:** as `check`."""
         self._data()
         try:
             if self._prefix.size == 0:
@@ -74,13 +74,13 @@ class Table:
             raise refusal(self.path, error) from error
 
     def read(self) -> pd.DataFrame:
-        """All rows, every number as it was written. **Raises:** as `check`."""
+        """Return all rows, with every number exactly as written. **Raises:** as `check`."""
         names, *rows = list(csv.reader(self._data().decode().splitlines())) or [self.columns]
         cells = zip(*rows, strict=True) if rows else [()] * len(names)
         return pd.DataFrame({name: _typed(column) for name, column in zip(names, cells, strict=True)})
 
     def _data(self) -> bytes:
-        """The bytes that belong to the run, compared with their checksum."""
+        """Read the valid bytes and verify their checksum."""
         size, rows, sha256 = self._prefix
         if size == 0:
             return b""
@@ -93,12 +93,12 @@ class Table:
             raise RunDirectoryError(f"{str(self.path)!r} cannot be read: {error.strerror}") from error
         if len(data) < size:
             raise RunDirectoryError(
-                f"{str(self.path)!r} is cut short: of {size} bytes ({rows} rows) that the run wrote, "
-                f"{len(data)} are left"
+                f"{str(self.path)!r} is cut short: the run wrote {size} bytes ({rows} rows), "
+                f"the file has {len(data)}"
             )
         running = hashlib.sha256(data)
         if running.hexdigest() != sha256:
-            raise RunDirectoryError(f"{str(self.path)!r} is damaged: its checksum is not what the run wrote")
+            raise RunDirectoryError(f"{str(self.path)!r} is damaged: its checksum does not match")
         self._hash = running
         return data
 
@@ -108,7 +108,7 @@ class Table:
         return self._hash
 
     def _write(self, data: bytes) -> None:
-        """Write `data` durably behind what belongs to the run, or leave the file as it was."""
+        """Write and sync `data` after the valid part; on failure leave the valid part unchanged."""
         size = self._prefix.size
         try:
             with self.path.open("ab", buffering=0) as file:
@@ -119,7 +119,7 @@ class Table:
                 file.truncate(size)
                 try:
                     left = memoryview(data)
-                    while left:  # a disk that becomes full takes a part first and complains then
+                    while left:  # a disk that becomes full first writes a part, then raises an error
                         left = left[file.write(left) :]
                     os.fsync(file.fileno())
                 except OSError:
@@ -130,7 +130,7 @@ class Table:
 
 
 def _typed(cells: Sequence[str]) -> list[int] | list[float] | list[str | None]:
-    """The cells of a column as integers, or numbers with NaN where empty, or text with None where empty."""
+    """Convert a column to integers, else to floats (empty: NaN), else to text (empty: None)."""
     with suppress(ValueError):
         return [int(cell) for cell in cells]
     with suppress(ValueError):

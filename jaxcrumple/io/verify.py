@@ -1,4 +1,4 @@
-"""What is damaged in a run folder, and the last moment at which all of it is sound."""
+"""Find damaged files in a run folder, and return to its last undamaged checkpoint."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ from jaxcrumple.io.rundir import (
 )
 from jaxcrumple.io.table import Table
 
-#: Files that a run writes again from the others when it is resumed.
+#: Files that a resumed run rebuilds from the others.
 DERIVED = (SUMMARY, FILM)
 
 
 def damages(folder: Path) -> dict[str, str]:
-    """What is wrong with the files of a run, by their names; empty if all of it is sound.
+    """Return the cause of damage of each damaged file of a run, by file name.
 
-    Files that the manifest does not name, such as pictures, are not looked at.
+    Files that the manifest does not list, such as pictures, are not checked.
     """
     try:
         manifest = read_manifest(folder)
@@ -52,9 +52,9 @@ def damages(folder: Path) -> dict[str, str]:
 
 
 def verify_runs(folder: str | Path) -> dict[Path, dict[str, str]]:
-    """What is wrong with the files of a run, or of each run in a folder of several, by folder and file.
+    """Return the damage in one run folder, or in each run of a folder of runs, by run folder and file name.
 
-    **Raises:** `RunDirectoryError` if there is no run.
+    **Raises:** `RunDirectoryError` if the folder contains no run.
     """
     path = Path(folder)
     runs = [path] if path.is_dir() and is_run(path) else sorted(p for p in path.glob("*/") if is_run(p))
@@ -64,9 +64,9 @@ def verify_runs(folder: str | Path) -> dict[Path, dict[str, str]]:
 
 
 def check_sound(folder: Path) -> bool:
-    """Refuse to go on with a damaged folder; whether only what the run writes again is damaged.
+    """Refuse a damaged folder; return whether a file in `DERIVED`, which the run rebuilds, is damaged.
 
-    **Raises:** `RunDirectoryError` that names a file, the cause, how many more there are, and the cure.
+    **Raises:** `RunDirectoryError` that names one damaged file, the cause, the number of others and the cure.
     """
     every = damages(folder)
     found = {name: cause for name, cause in every.items() if name not in DERIVED}
@@ -78,9 +78,9 @@ def check_sound(folder: Path) -> bool:
 
 
 def go_back(folder: Path) -> float | None:
-    """Make the last checkpoint before all damage the current one; its time in s, or None if there is none.
+    """Make the last undamaged checkpoint current; return its time in s, or None if there is none.
 
-    What came after is no longer part of the run, but stays until the run goes on. Hold the folder's lock.
+    Later data no longer belongs to the run; a resumed run removes it. The caller must hold the lock.
 
     **Raises:** `RunDirectoryError` if a file cannot be written.
     """
@@ -101,7 +101,7 @@ def go_back(folder: Path) -> float | None:
 
 
 class _Moment(NamedTuple):
-    """A checkpoint: its `name` and `entry`, its time in s, the manifest and the `run.json` it came with."""
+    """A checkpoint: `name`, `entry`, time `t` in s, and the `manifest` and `run.json` it stores."""
 
     name: str
     entry: Entry
@@ -111,12 +111,12 @@ class _Moment(NamedTuple):
 
     @property
     def place(self) -> tuple[float, int]:
-        """What orders the checkpoints of a run: at a frame's time there are two."""
+        """Sort key: time, then number of frames; two checkpoints share the time of a frame."""
         return self.t, self.manifest.tables["frames.csv"].rows
 
 
 def _damages(folder: Path, manifest: Manifest) -> Iterator[tuple[str, str]]:
-    """Names and causes of what differs from a manifest."""
+    """Yield name and cause of each deviation from a manifest."""
     for name, entry in manifest.files.items():
         yield from _damage(folder, name, entry)
     for name, prefix in manifest.tables.items():
@@ -139,7 +139,7 @@ def _damage(folder: Path, name: str, entry: Entry) -> Iterator[tuple[str, str]]:
 
 
 def _moments(folder: Path) -> Iterator[_Moment]:
-    """The checkpoints all of whose arrays are sound: their own checksums tell, for the manifest may not."""
+    """Yield the checkpoints that pass their own checksums; the manifest may itself be damaged."""
     for path in folder.glob(f"{CHECKPOINTS}/*.npz"):
         try:
             entry, metadata = entry_of(path.read_bytes()), read_metadata(path)

@@ -1,8 +1,8 @@
-"""A film of the sheet for ParaView: one temporal VTKHDF file, the faces stored once.
+"""Film of the sheet for ParaView: one temporal VTKHDF file that stores the faces once.
 
 Layout: the VTKHDF file format, version 2, UnstructuredGrid with a `Steps` group
-(https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/). Positions keep float64; maps are
-float32, which the eye does not miss. An HDF5 name cannot hold "/", so units are written "J_per_m2".
+(https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/). Positions are float64, maps are
+float32, which is enough for display. An HDF5 name cannot contain "/", so units are written as "J_per_m2".
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from jaxcrumple.measure import (
 )
 from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
-#: What to show at each point or cell, by name: a function of the frame.
+#: Data at the points or cells, by name, each a function of the frame.
 Fields = Mapping[str, Callable[[Frame], ArrayLike]]
 
-_TRIANGLE = 5  # VTK's number of this type of cell
+_TRIANGLE = 5  # cell type of a triangle in VTK
 
 
 def write_vtkhdf(
@@ -39,36 +39,38 @@ def write_vtkhdf(
     point_data: Fields | None = None,
     cell_data: Fields | None = None,
 ) -> int:
-    """Write `frames` one after the other, all or nothing, and return how many there were.
+    """Write `frames` to one film atomically and return their number.
 
-    **Arguments:** `frames` may be a generator; only the film itself must fit into memory. `point_data`,
-    `cell_data`: functions from a frame to one value (n,) or (f,) or vector (n, 3) or (f, 3) per point or
-    cell; `sheet_fields` has the usual ones.
+    **Arguments:** `frames`: may be a generator; only the film must fit into memory. `point_data`,
+    `cell_data`: functions that map a frame to one value (n,) or (f,) or one vector (n, 3) or (f, 3) per point
+    or cell; `sheet_fields` returns the standard ones.
 
     **Raises:** `RunDirectoryError` if the file cannot be written; ValueError for an array of a wrong length,
-    a name with "/", or no frames at all.
+    a name with "/", or no frames.
     """
     fields = {"PointData": dict(point_data or {}), "CellData": dict(cell_data or {})}
     for name in (*fields["PointData"], *fields["CellData"]):
         if "/" in name:
             raise ValueError(f"{name!r} cannot name an array of an HDF5 file; leave out the '/'")
-    # HDF5 crashes the process when it closes a file on a full disk, so the film is made in memory.
+    # HDF5 crashes the process when it closes a file on a full disk, so the film is built in memory.
     buffer = io.BytesIO()
     with h5py.File(buffer, "w") as file:
         root = file.create_group("VTKHDF")
         _write_faces(root, mesh)
         times = [_append(root, mesh, frame, fields) for frame in frames]
         if not times:
-            raise ValueError("there are no frames to write; save some first")
+            raise ValueError("there are no frames to write; give at least one")
         _write_steps(root, mesh, np.array(times), fields)
     write_bytes(Path(path), buffer.getbuffer())
     return len(times)
 
 
 def sheet_fields(mesh: Mesh, ks: ArrayLike, stiffness: ArrayLike) -> tuple[Fields, Fields]:
-    """Point and cell data to look at: velocity, mean curvature and damage; energy densities and flow.
+    """Return the standard data of a film.
 
-    **Arguments:** `ks` (e,) in N/m, the scene's `membrane.stiffness`; `stiffness` (h,) in J, its
+    Points: velocity, mean curvature, damage. Cells: stretching and bending energy density, plastic curvature.
+
+    **Arguments:** `ks` (e,) in N/m: `membrane.stiffness` of the scene; `stiffness` (h,) in J: its
     `bending.stiffness`.
     """
 
@@ -105,13 +107,13 @@ def _append(root: h5py.Group, mesh: Mesh, frame: Frame, fields: Mapping[str, Fie
     _extend(root, "Points", np.asarray(frame.x, dtype=np.float64), mesh.n_nodes)
     for group, length in (("PointData", mesh.n_nodes), ("CellData", len(mesh.faces))):
         for name, field in fields[group].items():
-            with np.errstate(over="ignore"):  # what float32 cannot hold is infinite there
+            with np.errstate(over="ignore"):  # values beyond the range of float32 become infinite
                 _extend(root, f"{group}/{name}", np.asarray(field(frame), dtype=np.float32), length)
     return frame.t
 
 
 def _extend(root: h5py.Group, name: str, values: np.ndarray, length: int) -> None:
-    """Add the rows of one frame to a dataset, a chunk per frame."""
+    """Append the rows of one frame to a dataset as one chunk."""
     if values.shape not in ((length,), (length, 3)):
         raise ValueError(f"{name} has shape {values.shape}; give ({length},) or ({length}, 3)")
     if name not in root:
@@ -125,7 +127,7 @@ def _extend(root: h5py.Group, name: str, values: np.ndarray, length: int) -> Non
 
 
 def _write_steps(root: h5py.Group, mesh: Mesh, times: FloatArray, fields: Mapping[str, Fields]) -> None:
-    """Where each step starts in the datasets; the faces start at 0 in all of them."""
+    """Write the offset of each time step in the datasets; all steps share the faces at offset 0."""
     count = len(times)
     index = np.arange(count)
     steps = root.create_group("Steps")

@@ -1,4 +1,4 @@
-"""From properties of a sheet in SI units to the constants of the discrete model.
+"""Compute the constants of the discrete model from properties of the sheet in SI units.
 
 Equation numbers refer to Andrejevic & Rycroft, J. Comput. Phys. (2022) 111607. The defaults describe the
 sheet of its Fig. 3 (0.25 mm thick, 1 GPa) at the density of water.
@@ -17,7 +17,7 @@ from jaxcrumple._jax.tree import as_float, is_known
 from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
 MAX_C0 = 1.99
-"""Largest c0 of a hinge. |c| ends at 2, so c0 >= 2 would never yield, and (35) divides by 2 - c0."""
+"""Largest c0 of a hinge. |c| is at most 2, so c0 >= 2 would never yield, and (35) divides by 2 - c0."""
 
 DEFAULT_YIELD_CURVATURE = 200.0
 """[1/m]: yield at a radius of 5 mm, 2.5 % strain at the surface of a sheet 0.25 mm thick."""
@@ -47,12 +47,12 @@ _PER_NODE = ("thickness", "yield_curvature", "yield_c0")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Material:
-    """Properties of the sheet, in SI units. `thickness` and the yield fields may be arrays (n,), by node.
+    """Properties of the sheet in SI units. `thickness` and the yield fields may be nodal arrays (n,).
 
-    `yield_curvature` is a physical curvature; `discretize` turns it into the dimensionless yield curvature
-    c0 of (35) hinge by hinge, so that a refined mesh yields at the same bend. `yield_c0` sets c0 itself, as
-    the paper does; what it means then depends on the mesh (Fig. 3b). Give one of them.
-    `Material(yield_curvature=None)` is elastic. Numbers that JAX traces are not checked.
+    `yield_curvature` is a physical curvature. `discretize` converts it hinge by hinge into the dimensionless
+    yield curvature c0 of (35), so a refined mesh yields at the same curvature. `yield_c0` sets c0 itself, as
+    the paper does; its physical meaning then depends on the mesh (Fig. 3b). Give only one of the two.
+    `Material(yield_curvature=None)` is elastic. Traced numbers are not checked.
 
     **Raises:** `ValueError` naming field, value and unit if a value is not finite or has the wrong sign, if
     both yield fields are given, or for an unknown `mass_lumping`.
@@ -69,15 +69,15 @@ class Material:
     yield_c0: float | FloatArray | None = None
     """c0 of (35), dimensionless."""
     gamma: float = 0.0
-    """gamma of (35), dimensionless. It enters as `plastic_time * (1 + gamma)` only."""
+    """gamma of (35), dimensionless. It enters only as `plastic_time * (1 + gamma)`."""
     plastic_time: float = 1e-3
-    """Time scale of the plastic flow [s], which (34) leaves out: dp/dt = f / plastic_time."""
+    """Time scale of the plastic flow [s]: dp/dt = f / plastic_time. (34) omits it."""
     drag_rate: float = 1e3
     """b_iso / m of (24) [1/s]."""
     internal_damping_time: float = 2e-7
     """b_int / ks of (25) [s]."""
     mass_lumping: Literal["uniform", "area"] = "uniform"
-    """Equal node masses (the paper's choice), or masses in proportion to the area around each node."""
+    """Equal node masses (the paper's choice), or masses proportional to the area around each node."""
 
     def __post_init__(self) -> None:
         if self.yield_curvature is _DEFAULT:
@@ -94,7 +94,7 @@ class Material:
 
     @property
     def is_elastic(self) -> bool:
-        """Whether the sheet never yields."""
+        """Whether the sheet is elastic, that is, never yields."""
         return self.yield_curvature is None and self.yield_c0 is None
 
     @property
@@ -118,12 +118,12 @@ class Material:
         return math.sqrt(3) / 2 * self.bending_constant
 
     def discretize(self, mesh: Mesh) -> ModelConstants:
-        """Constants of every spring, hinge and node of `mesh`.
+        """Compute the constants of every spring, hinge and node of `mesh`.
 
         Properties given per node are averaged over the two ends of a spring, and over the two ends of a
         hinge's shared edge.
 
-        **Raises:** `ValueError` if an array does not have one value a node.
+        **Raises:** `ValueError` if an array does not have one value per node.
         """
         for name in _PER_NODE:
             _check_length(name, getattr(self, name), mesh.n_nodes)
@@ -160,7 +160,7 @@ class Material:
 
     @property
     def _numpy(self) -> Any:
-        """NumPy, or that of JAX where some number is traced."""
+        """NumPy, or JAX's NumPy if a number is traced."""
         return np if is_known(*(getattr(self, name) for name in _FIELDS)) else jnp
 
 
@@ -200,7 +200,7 @@ def _number(value: Any) -> Any:
 
 
 def _checked(name: str, value: Any) -> Any:
-    """A float or a read-only array (n,); what JAX traces is taken as it is."""
+    """Return a float or a read-only array (n,); traced values pass unchecked."""
     if value is None and name in ("yield_curvature", "yield_c0"):
         return None
     unit, rule = _FIELDS[name]
@@ -228,11 +228,11 @@ def _checked(name: str, value: Any) -> Any:
 def _check_length(name: str, value: Any, n: int) -> None:
     if np.ndim(value) and np.shape(value)[0] != n:
         raise ValueError(
-            f"{name} has {np.shape(value)[0]} values but the mesh has {n} nodes; give one value a node"
+            f"{name} has {np.shape(value)[0]} values but the mesh has {n} nodes; give one value per node"
         )
 
 
 def changed(name: str, one: Material, other: Material) -> bool:
-    """Whether a property differs between two materials; one that JAX traces differs from all others."""
+    """Return whether a property differs between two materials; a traced value counts as different."""
     values = [math.nan if value is None else value for value in (getattr(one, name), getattr(other, name))]
     return not (is_known(values) and np.array_equal(values[0], values[1], equal_nan=True))

@@ -1,4 +1,4 @@
-"""Numbers and maps of a deformed sheet: strain, creases, facets, energy, volume, stacking. On the host."""
+"""Measures of a deformed sheet, computed on the host: strain, creases, facets, energy, volume, stacking."""
 
 from jaxcrumple.measure.avalanches import avalanches, power_law_exponent
 from jaxcrumple.measure.confinement import wall_force

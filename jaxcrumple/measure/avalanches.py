@@ -1,7 +1,7 @@
-"""Avalanches: the snaps of a crumple, how long each lasts and how much energy it sets free.
+"""Avalanches: duration and released energy of the snaps of a crumpling sheet.
 
-A snap begins where inertia decides where the sheet goes, by the same criterion as `jaxcrumple.replay.snaps`:
-where positions would be off by a share of the sheet's size if inertia were left out.
+A snap begins where inertia is not negligible. The criterion is that of `jaxcrumple.replay.snaps`: without
+inertia, positions would change by more than a given fraction of the size of the sheet.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ STORED = ("stretch", "bending", "contact")
 def avalanches(
     history: pd.DataFrame, *, reference_acceleration: float, inertial_time: float, length_scale: float
 ) -> pd.DataFrame:
-    """The snaps of a run, a line for each.
+    """Return a table with one row per snap of a run.
 
-    `begin`, `end` in s; `peak`: the largest acceleration in units of `length_scale` per square of
-    `inertial_time`; `released` in J: what the elastic energy (stretching, bending, contact) falls by from
-    the step before the snap to its end, and, where the run kept the work ledger, what the walls put in
-    meanwhile.
+    Columns: `begin`, `end` in s; `peak`: the largest acceleration in units of `length_scale` /
+    `inertial_time`^2; `released` in J: the decrease of the elastic energy (stretching, bending, contact) from
+    the step before the snap to its end, plus the work of walls and supports in that time if the run recorded
+    it.
 
-    **Arguments:** `history` of the run; `reference_acceleration` in m/s2, `inertial_time` in s (mass over
-    drag) and `length_scale` in m of its `Scene`.
+    **Arguments:** `history`: table of the run; `reference_acceleration` in m/s2, `inertial_time` in s (mass
+    over drag) and `length_scale` in m: scales of its `Scene`.
 
     **Raises:** ValueError for a history without steps, or for scales that are not positive and finite.
     """
@@ -55,10 +55,12 @@ def _row(t, share, energy, work, part: np.ndarray, rest: float) -> tuple[float, 
 
 
 def power_law_exponent(values: ArrayLike, least: float) -> tuple[float, float]:
-    """Exponent of a density $x^{-\\alpha}$ of the `values` from `least` on, by maximum likelihood, and its
-    standard error (Clauset, Shalizi & Newman, SIAM Review 51 (2009) 661, eqs. 3.1 and 3.2).
+    """Fit the density $x^{-\\alpha}$ to all `values` >= `least` by maximum likelihood.
 
-    **Raises:** ValueError for a least value that is not positive, or fewer than two values from there on.
+    Return the exponent and its standard error (Clauset, Shalizi & Newman, SIAM Review 51 (2009) 661, eqs. 3.1
+    and 3.2).
+
+    **Raises:** ValueError if `least` is not positive, or if fewer than two values reach it.
     """
     found = np.asarray(values, float)
     found = found[found >= least]
@@ -66,6 +68,6 @@ def power_law_exponent(values: ArrayLike, least: float) -> tuple[float, float]:
         raise ValueError(f"{len(found)} values are at least {least}; give a positive bound that two reach")
     spread = float(np.sum(np.log(found / least)))
     if spread == 0.0:
-        raise ValueError(f"all values are {least}; there is nothing to fit")
+        raise ValueError(f"all values are {least}; give at least two different values")
     exponent = 1.0 + len(found) / spread
     return exponent, (exponent - 1.0) / float(np.sqrt(len(found)))

@@ -1,4 +1,4 @@
-"""Forces on walls: what confines a sheet feels of it."""
+"""Forces of the sheet on its walls."""
 
 from __future__ import annotations
 
@@ -12,6 +12,9 @@ from jaxcrumple.model.walls import Wall
 
 @door
 def wall_force(wall: Wall, x: ArrayLike, t: float) -> float:
-    """Total force in N with which the sheet at positions `x` (n, 3) in m presses on a wall at time `t`,
-    along its normals: for a sphere that shrinks $F(R) = -dU/dR$, its pressure times its area."""
+    """Return the total normal force in N of the sheet on a wall.
+
+    `x` (n, 3): positions in m; `t`: time in s. For a shrinking sphere this is $F(R) = -dU/dR$, pressure times
+    area.
+    """
     return float(np.linalg.norm(np.asarray(wall.force(jnp.asarray(x), jnp.asarray(t))), axis=1).sum())

@@ -1,4 +1,4 @@
-"""Hinge angles, the map of mean curvature of Fig. 5a, and the plastic damage that makes creases.
+"""Hinge angles, mean curvature (Fig. 5a), and creases, defined by plastic damage.
 
 Signs follow `jaxcrumple.mesh.mesh.Mesh`: an angle or curvature is positive where the sheet is convex seen
 from the side to which the face normals point.
@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from jaxcrumple.measure.strain import check_finite, positions
 from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
-#: A hinge is damaged if its rest curvature has moved by more than this. The smoothstep yield law leaks a
-#: little below yield, so zero would count too much; see `crease_length` for the sensitivity.
+#: Change of the rest curvature above which a hinge is damaged. The smoothstep yield law flows slightly below
+#: yield, so a threshold of zero would count too many hinges; see `crease_length` for the sensitivity.
 DAMAGE = 0.05
 
 
 def hinge_angles(mesh: Mesh, x: ArrayLike) -> FloatArray:
-    """Signed angle (h,) in rad, in [-pi, pi], between the face normals of each hinge; `x` (n, 3) in m."""
+    """Return the signed angle (h,), -pi to pi rad, between the face normals of a hinge; `x` (n, 3) in m."""
     corners = positions(mesh, x)[mesh.hinges]
     e0, e1, e2 = (corners[:, k] - corners[:, 0] for k in (1, 2, 3))
     n1, n2 = np.cross(e0, e1), np.cross(e2, e0)
@@ -28,34 +28,33 @@ def hinge_angles(mesh: Mesh, x: ArrayLike) -> FloatArray:
 
 
 def hinge_curvature(mesh: Mesh, x: ArrayLike) -> FloatArray:
-    """Dimensionless curvature (h,) $c = 2 \\sin(\\theta/2)$ of each hinge (eq. 33)."""
+    """Return the dimensionless curvature (h,) $c = 2 \\sin(\\theta/2)$ of each hinge (eq. 33)."""
     return 2.0 * np.sin(0.5 * hinge_angles(mesh, x))
 
 
 def mean_curvature(mesh: Mesh, x: ArrayLike) -> FloatArray:
-    """Mean curvature (n,) $H = c_1 + c_2$ in 1/m at the nodes: 1/R on a cylinder, 2/R on a sphere.
+    """Return the mean curvature (n,) $H = c_1 + c_2$ in 1/m at the nodes: 1/R on a cylinder, 2/R on a sphere.
 
-    The integral of H over a hinge is $|e_0| \\theta$ (Cohen-Steiner & Morvan 2003, there for $H/2$); half of
-    it goes to each end of the shared edge, and the sum is divided by the node's share of the area of its
-    hinges. The share is circumcentric: $\\theta$ turns over the distance of the two circumcentres, so that
-    a sphere is exact at every node, where thirds of triangles (`mesh.node_area`) miss by 15 % at a node with
-    five neighbours.
-    Lengths and areas are those of the rest shape, since the sheet hardly stretches. A node without hinges
-    has H = 0.
+    The integral of H over a hinge is $|e_0| \\theta$ (Cohen-Steiner & Morvan 2003, there for $H/2$). Each end
+    of the shared edge receives half of it. The sum at a node is divided by the circumcentric area of the
+    node. The reason: $\\theta$ turns over the distance between the two circumcentres, so that a sphere is
+    exact at every node. With a third of each triangle (`mesh.node_area`) the error is 15 % at a node with
+    five neighbours. Lengths and areas are those of the rest shape, since the sheet hardly stretches. A node
+    without hinges has H = 0.
 
-    On a cylinder meshed at random the values scatter by 2 % in the interior and by about 100 % at the
-    boundary, where a node sees only some of the directions.
+    On a random mesh of a cylinder the values scatter by 2 % in the interior and by about 100 % at the
+    boundary, where the edges at a node do not cover all directions.
     """
     ends = mesh.hinges[:, :2]
     integral = _to_nodes(ends, 0.5 * mesh.hinge_length * hinge_angles(mesh, x), mesh.n_nodes)
     area = _to_nodes(ends, _circumcentric_area(mesh), mesh.n_nodes)
-    # Where triangles are so obtuse that little is left, or less than nothing, thirds of triangles stand in.
+    # Very obtuse triangles make this area small or negative; its lower bound is 1/4 of the barycentric area.
     area = np.maximum(area, _to_nodes(ends, mesh.hinge_area / 6.0, mesh.n_nodes) / 4.0)
     return np.divide(integral, area, out=np.zeros(mesh.n_nodes), where=area > 0)
 
 
 def _circumcentric_area(mesh: Mesh) -> FloatArray:
-    """Area (h,) in m2 between half of each shared edge and the two circumcentres; < 0 if not Delaunay."""
+    """Return the area (h,) in m2 between half a shared edge and both circumcentres; < 0 if not Delaunay."""
     x0, x1, *opposite = np.moveaxis(mesh.vertices[mesh.hinges], 1, 0)
     cotangents = sum(
         np.einsum("hi,hi->h", x0 - o, x1 - o) / np.linalg.norm(np.cross(x0 - o, x1 - o), axis=1)
@@ -65,7 +64,7 @@ def _circumcentric_area(mesh: Mesh) -> FloatArray:
 
 
 def damaged(mesh: Mesh, p: ArrayLike, threshold: float = DAMAGE) -> NDArray[np.bool_]:
-    """Which hinges (h,) have a rest curvature `p` (h,) that moved by more than `threshold`.
+    """Return a mask (h,) of the hinges whose rest curvature `p` (h,) changed by more than `threshold`.
 
     **Raises:** ValueError for a threshold below 0, and as `plastic_curvature`.
     """
@@ -75,7 +74,7 @@ def damaged(mesh: Mesh, p: ArrayLike, threshold: float = DAMAGE) -> NDArray[np.b
 
 
 def plastic_curvature(mesh: Mesh, p: ArrayLike) -> FloatArray:
-    """Change (h,) of the rest curvature `p` (h,) since the sheet was new, dimensionless.
+    """Return the change (h,) of the rest curvature `p` (h,) from the undeformed sheet, dimensionless.
 
     **Raises:** ValueError unless `p` has one finite value for each hinge.
     """
@@ -89,29 +88,31 @@ def plastic_curvature(mesh: Mesh, p: ArrayLike) -> FloatArray:
 
 
 def crease_pattern(mesh: Mesh, p: ArrayLike, threshold: float = DAMAGE) -> NDArray[np.int8]:
-    """Sign (h,) of the creases: 1 where a damaged hinge's rest curvature `p` (h,) moved towards a mountain
-    (convex seen from the side of the face normals), -1 towards a valley, 0 where it is not damaged."""
+    """Return the sign (h,) of the creases, from the rest curvature `p` (h,) of the hinges.
+
+    1: mountain (convex seen from the side of the face normals), -1: valley, 0: hinge not damaged.
+    """
     return np.where(damaged(mesh, p, threshold), np.sign(plastic_curvature(mesh, p)), 0).astype(np.int8)
 
 
 def mountain_valley_length(mesh: Mesh, p: ArrayLike, threshold: float = DAMAGE) -> tuple[float, float]:
-    """Rest lengths in m of the mountains and valleys of `crease_pattern`, whose sum is `crease_length`."""
+    """Return the rest lengths in m of mountains and of valleys; their sum is `crease_length`."""
     pattern = crease_pattern(mesh, p, threshold)
     mountain, valley = (float(mesh.hinge_length[pattern == sign].sum()) for sign in (1, -1))
     return mountain, valley
 
 
 def crease_length(mesh: Mesh, p: ArrayLike, threshold: float = DAMAGE) -> float:
-    """Total rest length in m of the damaged hinges.
+    """Return the total rest length in m of the damaged hinges.
 
-    It depends on the mesh: a straight crease of length L runs along a zig-zag of edges longer than L. Compare
-    runs of one mesh size, and vary `threshold` to see how much the number owes to it.
+    It depends on the mesh: a straight crease of length L follows a zig-zag of edges longer than L. Compare
+    only runs with the same mesh size, and vary `threshold` to find the sensitivity.
     """
     return float(mesh.hinge_length[damaged(mesh, p, threshold)].sum())
 
 
 def node_damage(mesh: Mesh, p: ArrayLike) -> FloatArray:
-    """Largest $|p - p_{rest}|$ (n,) of the hinges whose shared edge ends at each node; 0 without hinges."""
+    """Return the largest $|p - p_{rest}|$ (n,) of the hinges whose shared edge ends at a node, or 0."""
     out = np.zeros(mesh.n_nodes)
     size = np.abs(plastic_curvature(mesh, p))
     for end in mesh.hinges[:, :2].T:
@@ -120,10 +121,10 @@ def node_damage(mesh: Mesh, p: ArrayLike) -> FloatArray:
 
 
 def folded_hinges(mesh: Mesh, x: ArrayLike, limit_deg: float = 170.0) -> int:
-    """Number of hinges bent by more than `limit_deg` degrees either way; 180 is closed flat."""
+    """Return the number of hinges with |angle| > `limit_deg` degrees; 180 degrees is a fully closed fold."""
     return int(np.count_nonzero(np.abs(hinge_angles(mesh, x)) > np.deg2rad(limit_deg)))
 
 
 def _to_nodes(ends: NDArray, values: FloatArray, n: int) -> FloatArray:
-    """Sum (n,) of hinge `values` (h,) over both `ends` (h, 2) of the shared edges."""
+    """Add hinge `values` (h,) to both `ends` (h, 2) of the shared edges: sums (n,) at the nodes."""
     return np.bincount(ends.ravel(), weights=np.repeat(values, 2), minlength=n).astype(float)

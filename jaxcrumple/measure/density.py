@@ -1,4 +1,4 @@
-"""Maps of the stored energy: the energy of edges and hinges as a density on the faces."""
+"""Energy density on the faces, from the energy of edges and hinges."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from jaxcrumple.model.bending import hinge_energy
 
 @door
 def face_stretch_density(mesh: Mesh, x: ArrayLike, ks: ArrayLike) -> FloatArray:
-    """Stretching energy per rest area (f,) in J/m2 at positions `x` (n, 3) in m.
+    """Return the stretching energy per rest area (f,) in J/m2 at positions `x` (n, 3) in m.
 
-    `ks`: spring constants (e,), or one for all edges, in N/m. The energy of an edge (eq. 11) is shared
-    equally by its faces, so that density times `mesh.face_area` sums to the energy of the sheet.
+    `ks`: spring constants (e,), or one for all edges, in N/m. The faces of an edge share its energy (eq. 11)
+    equally, so that density times `mesh.face_area` sums to the energy of the sheet.
     """
     energy = 0.5 * np.asarray(ks) * (edge_length(mesh, x) - mesh.edge_length) ** 2
     of_face = face_edges(mesh)
@@ -28,11 +28,11 @@ def face_stretch_density(mesh: Mesh, x: ArrayLike, ks: ArrayLike) -> FloatArray:
 
 @door
 def face_bending_density(mesh: Mesh, x: ArrayLike, p: ArrayLike, stiffness: ArrayLike) -> FloatArray:
-    """Stored bending energy per rest area (f,) in J/m2 at positions `x` (n, 3) in m.
+    """Return the stored bending energy per rest area (f,) in J/m2 at positions `x` (n, 3) in m.
 
     `p`: rest curvature (h,); `stiffness`: $K = k_b \\sqrt3 |e_0|^2/(2 \\bar A)$ (h,) in J, as in
-    `jaxcrumple.model.bending.Bending`. Each hinge gives half of its energy (eq. 31, with the stop that keeps
-    faces apart) to each of its faces, so that density times `mesh.face_area` sums to the energy of the sheet.
+    `jaxcrumple.model.bending.Bending`. Each face of a hinge receives half of the hinge energy (eq. 31, with
+    the stop that keeps faces apart), so that density times `mesh.face_area` sums to the energy of the sheet.
     """
     theta = hinge_angles(mesh, x)
     energy = hinge_energy(jnp.asarray(theta), jnp.asarray(p), jnp.asarray(stiffness))
@@ -40,20 +40,20 @@ def face_bending_density(mesh: Mesh, x: ArrayLike, p: ArrayLike, stiffness: Arra
 
 
 def face_plastic_curvature(mesh: Mesh, p: ArrayLike) -> FloatArray:
-    """Mean (f,) of $|p - p_{rest}|$ over the hinges of each face, dimensionless; 0 without hinges."""
+    """Return the mean (f,) of $|p - p_{rest}|$ over the hinges of each face, dimensionless, or 0."""
     count = _to_faces(mesh, np.ones(len(mesh.hinges)))
     return _to_faces(mesh, np.abs(plastic_curvature(mesh, p))) / np.maximum(count, 1.0)
 
 
 def face_edges(mesh: Mesh) -> NDArray[np.intp]:
-    """Rows (f, 3) of `mesh.edges` that bound each face."""
+    """Return the rows (f, 3) of `mesh.edges` that bound each face."""
     pairs = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].astype(np.int64), axis=2)
     keys = mesh.edges[:, 0].astype(np.int64) * mesh.n_nodes + mesh.edges[:, 1]  # ascending, see Mesh
     return np.searchsorted(keys, pairs[..., 0] * mesh.n_nodes + pairs[..., 1])
 
 
 def _to_faces(mesh: Mesh, values: FloatArray) -> FloatArray:
-    """Sum (f,) of hinge `values` (h,) over both faces of the hinges."""
+    """Add hinge `values` (h,) to both faces of each hinge: sums (f,) on the faces."""
     return np.bincount(
         mesh.hinge_faces.ravel(), weights=np.repeat(values, 2), minlength=len(mesh.faces)
     ).astype(float)

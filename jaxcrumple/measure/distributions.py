@@ -1,4 +1,4 @@
-"""Distributions over the sheet: fold angles at creases, by length, and mean curvature, by area."""
+"""Distributions over the sheet: fold angle weighted by crease length, mean curvature weighted by area."""
 
 from __future__ import annotations
 
@@ -13,26 +13,28 @@ from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
 
 class Distribution(NamedTuple):
-    """A histogram as a density whose integral is 1."""
+    """A histogram, normalised as a density with integral 1."""
 
     edges: FloatArray  # (b + 1,) bounds of the bins
-    density: FloatArray  # (b,) share per unit of what is distributed
+    density: FloatArray  # (b,) probability density, per unit of the variable
 
 
 def fold_angle_distribution(
     mesh: Mesh, x: ArrayLike, p: ArrayLike, *, threshold: float = DAMAGE, bins: int | ArrayLike = 36
 ) -> Distribution:
-    """Density per rad of the signed angles at damaged hinges, weighted by rest length; positive on mountains.
+    """Return the density per rad of the signed angle at damaged hinges, weighted by rest length.
 
-    **Arguments:** `x` (n, 3) in m; `p` (h,) and `threshold` as in `damaged`; `bins`: how many between
+    Mountains have positive angles.
+
+    **Arguments:** `x` (n, 3) in m; `p` (h,) and `threshold` as in `damaged`; `bins`: number of bins between
     -pi and pi, or their bounds in rad.
 
-    **Raises:** ValueError for wrong shapes, if no hinge is damaged, or if bounds leave out an angle.
+    **Raises:** ValueError for wrong shapes, if no hinge is damaged, or if an angle lies outside the bounds.
     """
     creases = damaged(mesh, p, threshold)
     if not creases.any():
         raise ValueError(
-            f"no rest curvature moved by more than {threshold}; lower the threshold or fold more"
+            f"no rest curvature changed by more than {threshold}; lower the threshold or fold more"
         )
     _check_bins(bins)
     if np.ndim(bins) == 0:
@@ -41,12 +43,12 @@ def fold_angle_distribution(
 
 
 def curvature_distribution(mesh: Mesh, x: ArrayLike, *, bins: int | ArrayLike = 100) -> Distribution:
-    """Density per 1/m of the mean curvature of the nodes (`mean_curvature`), weighted by their rest area.
+    """Return the density of the nodal `mean_curvature` (per 1/m), weighted by the rest area of the nodes.
 
-    **Arguments:** `x` (n, 3) in m; `bins`: how many from the lowest to the highest curvature, or their bounds
-    in 1/m. Sharp folds reach far: bounds that are closer near zero show more.
+    **Arguments:** `x` (n, 3) in m; `bins`: number of bins from the lowest to the highest curvature, or their
+    bounds in 1/m. Sharp folds have very large curvature: use narrower bins near zero.
 
-    **Raises:** ValueError for a wrong shape of `x`, or if bounds leave out a curvature.
+    **Raises:** ValueError for a wrong shape of `x`, or if a curvature lies outside the bounds.
     """
     return _histogram(mean_curvature(mesh, x), mesh.node_area, bins)
 
@@ -62,8 +64,8 @@ def _histogram(values: FloatArray, weights: FloatArray, bins: int | ArrayLike) -
     edges = np.histogram_bin_edges(values, bins)  # type: ignore[arg-type]
     if values.min() < edges[0] or values.max() > edges[-1]:
         raise ValueError(
-            f"bins from {edges[0]:.4g} to {edges[-1]:.4g} leave out some values, which reach from"
-            f" {values.min():.4g} to {values.max():.4g}; give bounds that hold all"
+            f"bins from {edges[0]:.4g} to {edges[-1]:.4g} leave out some values, which range from"
+            f" {values.min():.4g} to {values.max():.4g}; give bounds that contain all values"
         )
     density, _ = np.histogram(values, edges, weights=weights, density=True)
     return Distribution(edges, density)

@@ -1,11 +1,11 @@
-"""Facets of a crumpled sheet: the regions between its creases, found without hands.
+"""Facets of a crumpled sheet: automatic segmentation into the regions between creases.
 
-The paper segments its crease patterns by hand (Fig. 9d). Creases of a simulation are zig-zags of hinges, up
-to a few rows wide, with gaps, so that the regions between damaged hinges alone leak into each other. The
-flat sheet is drawn as an image instead, and split where it is narrow between creases: by the watershed of
-the distance to the nearest crease, from the h-maxima of that distance (Soille, Morphological Image Analysis,
-2003, ch. 6 and 9). What this splits too much is joined again: of all borders the one that follows a crease
-over the smallest part of its length goes first.
+The paper segments its crease patterns by hand (Fig. 9d). In a simulation a crease is a zig-zag of hinges, up
+to a few rows wide, with gaps. Damaged hinges alone therefore do not separate the regions. The algorithm
+draws the flat sheet as an image and splits it at the necks between creases: it applies the watershed
+transform to the distance from the nearest crease, seeded at the h-maxima of that distance (Soille,
+Morphological Image Analysis, 2003, ch. 6 and 9). It then merges over-segmented regions, beginning with the
+border of which a crease follows the smallest fraction.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import skimage as ski  # which loads its parts when they are first used
+import skimage as ski  # skimage imports its submodules lazily
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt, label
 from scipy.sparse import coo_array
@@ -24,22 +24,22 @@ from jaxcrumple.measure.creases import DAMAGE, damaged, plastic_curvature
 from jaxcrumple.measure.raster import Raster
 from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
-#: A crease is where the damage within its width adds up to a plastic fold angle of at least this, in rad.
+#: Least plastic fold angle of a crease in rad, summed over the damage within its width.
 FOLD = 0.2
-#: Two regions are two facets where a crease follows at least this part of their common border.
+#: Two regions are separate facets if a crease follows at least this fraction of their common border.
 CLOSED = 0.5
-#: Width of a crease, in units of $\\sqrt{A/n}$, the distance of neighbouring nodes but for 7 %.
+#: Width of a crease, in units of $\\sqrt{A/n}$, which is within 7 % of the node distance.
 ROWS = 1.5
 
-_PIXELS = 12  # to the width of a crease
-_FLAT = 0.9  # least area of a triangle seen along z over its own, so that imperfections are let pass
+_PIXELS = 12  # pixels per width of a crease
+_FLAT = 0.9  # least ratio of projected to true area of a triangle; below 1 to allow for imperfections
 
 
 class Facets(NamedTuple):
-    """Facets, numbered by their first triangle."""
+    """Facets, numbered in the order of their first triangle."""
 
-    label: NDArray[np.intp]  # (f,) facet of each triangle, from 0; a facet is connected
-    area: FloatArray  # (k,) rest area of each facet [m^2]; together that of the sheet
+    label: NDArray[np.intp]  # (f,) facet of each triangle, from 0; each facet is connected
+    area: FloatArray  # (k,) rest area of each facet [m^2]; the sum is the area of the sheet
 
 
 def segment_facets(
@@ -51,23 +51,24 @@ def segment_facets(
     width: float | None = None,
     closed: float = CLOSED,
 ) -> Facets:
-    """Facets of the sheet whose hinges have the rest curvature `p` (h,).
+    """Segment the sheet into facets, from the rest curvature `p` (h,) of its hinges.
 
     **Arguments:**
 
-    - `mesh`: its rest shape lies in the x-y plane, but for an imperfection.
-    - `threshold`: hinges are damaged if their dimensionless rest curvature moved by more, as in
-      `crease_length`.
-    - `fold`: least plastic fold angle of a crease, in rad. A hinge folds by $2 \\arcsin(|p|/2)$ (eq. 33), its
-      plastic curvature in 1/m times its height, and a crease by the sum over the hinges across it, so that a
-      finer mesh finds the same creases.
-    - `width`: of a crease, in m, by default `ROWS` times $\\sqrt{A/n}$. Damage within it adds up to one
-      crease, and what holds no circle of this diameter is no facet: it goes to a neighbour.
-    - `closed`: part of the border of two facets, from 0 to 1, that is creased.
+    - `mesh`: its rest shape lies in the x-y plane, except for a small imperfection.
+    - `threshold`: least change of the dimensionless rest curvature of a damaged hinge, as in `crease_length`.
+    - `fold`: least plastic fold angle of a crease, in rad. The plastic fold angle of a hinge is
+      $2 \\arcsin(|p|/2)$ (eq. 33), its plastic curvature in 1/m times its height. That of a crease is the sum
+      over the hinges across it, so that it does not depend on the mesh size.
+    - `width`: width of a crease, in m, by default `ROWS` times $\\sqrt{A/n}$. All damage within this width
+      counts as one crease. A region that contains no circle of this diameter is not a facet: the algorithm
+      adds it to a neighbour.
+    - `closed`: least creased fraction of the border between two facets, from 0 to 1.
 
-    On patterns that are known, with 15 % of the length of creases missing, the adjusted Rand index is 0.98 at
-    500 triangles for a facet, 0.95 at 200, 0.88 at 70 and 0.5 at 20, where every other facet is lost. Borders
-    that lack near half of their crease, or are hardly longer than a crease is wide, may go either way.
+    For known patterns with 15 % of the crease length missing, the adjusted Rand index is 0.98 at 500
+    triangles per facet, 0.95 at 200, 0.88 at 70 and 0.5 at 20, where half of the facets are lost. The result
+    is uncertain for borders that lack almost half of their crease, or are hardly longer than the width of a
+    crease.
 
     **Raises:** ValueError if the sheet is not flat, `p` has another shape, or a parameter is out of range.
     """
@@ -82,16 +83,16 @@ def segment_facets(
 
 
 def _hinge_fold(mesh: Mesh, p: ArrayLike) -> FloatArray:
-    """Plastic fold angle (h,) $2 \\arcsin(|p|/2)$ in rad of each hinge (eq. 33)."""
+    """Return the plastic fold angle (h,) $2 \\arcsin(|p|/2)$ in rad of each hinge (eq. 33)."""
     return 2 * np.arcsin(np.minimum(np.abs(plastic_curvature(mesh, p)) / 2, 1.0))
 
 
 def _fold_across(mesh: Mesh, angle: FloatArray, raster: Raster, sigma: float) -> FloatArray:
-    """Fold angle (h,) in rad across the crease at the middle of each hinge, from the `angle` (h,) of hinges.
+    """Return the fold angle (h,) in rad across the crease at the middle of each hinge.
 
-    Angle times length is spread by a Gaussian of standard deviation `sigma` in m. A straight crease of fold
-    angle $\\phi$ gives $\\phi/(\\sqrt{2\\pi}\\,\\sigma)$, whatever the mesh and the number of rows that
-    share the fold; a zig-zag of edges up to 1.3 times that.
+    A Gaussian of standard deviation `sigma` in m spreads the hinge `angle` (h,) times hinge length. A
+    straight crease of fold angle $\\phi$ gives the density $\\phi/(\\sqrt{2\\pi}\\,\\sigma)$, independent of
+    the mesh and of the number of rows in the crease. A zig-zag of edges gives up to 1.3 times that.
     """
     ends = mesh.vertices[mesh.hinges[:, :2], :2]
     density = raster.density(ends, angle * mesh.hinge_length, sigma)
@@ -99,10 +100,10 @@ def _fold_across(mesh: Mesh, angle: FloatArray, raster: Raster, sigma: float) ->
 
 
 def _regions(mesh: Mesh, raster: Raster, angle: FloatArray, width: float) -> NDArray[np.intp]:
-    """Region (f,) of each triangle, from 1: the parts of the sheet between necks and folded hinges.
+    """Return the region (f,) of each triangle, from 1, bounded by necks and by folded hinges.
 
-    Water rises from the middle of the regions to their necks, then over creases, the strongest `angle` (h,)
-    last.
+    The watershed floods each region from its middle to its necks, then crosses creases in the order of
+    increasing `angle` (h,).
     """
     crease = np.flatnonzero(angle)
     rows, columns, line = raster.lines(mesh.vertices[mesh.hinges[crease, :2], :2])
@@ -112,39 +113,39 @@ def _regions(mesh: Mesh, raster: Raster, angle: FloatArray, width: float) -> NDA
     distance = distance_transform_edt(inside & (ridge == 0)) * raster.pixel
     tops, _ = label(ski.morphology.h_maxima(distance, 0.5 * width))
     image = ski.segmentation.watershed(np.where(ridge > 0, ridge, -distance), tops, mask=inside)
-    image = ski.segmentation.expand_labels(image, distance=2)  # over the pixels that the sheet's rim cuts
+    image = ski.segmentation.expand_labels(image, distance=2)  # covers pixels cut by the boundary
     return mode(raster.on_faces(mesh, image), axis=1).mode
 
 
 def _connected(mesh: Mesh, regions: NDArray[np.intp], angle: FloatArray) -> NDArray[np.intp]:
-    """Regions (f,), each without the triangles that its largest connected piece leaves out.
+    """Return the regions (f,) reduced to their largest connected piece; reassign all other triangles.
 
-    These are few, where the pixels of a triangle vote for a region beyond its neighbours. They go to the
-    neighbour over the hinge of least `angle` (h,).
+    Such triangles are few: the majority of their pixels belongs to a region that is not adjacent. Each takes
+    the region of its neighbour across the hinge with the smallest `angle` (h,).
     """
     regions, stray = regions.copy(), _strays(mesh, regions)
     while stray.any():
         rim = np.flatnonzero(stray[mesh.hinge_faces[:, 0]] != stray[mesh.hinge_faces[:, 1]])
         sides = mesh.hinge_faces[rim[np.argsort(-angle[rim])]]
         sides = np.where(stray[sides[:, :1]], sides, sides[:, ::-1])
-        regions[sides[:, 0]] = regions[sides[:, 1]]  # where a triangle has several, the last one stays
+        regions[sides[:, 0]] = regions[sides[:, 1]]  # the last (smallest) angle wins
         stray[sides[:, 0]] = False
     return regions
 
 
 def _strays(mesh: Mesh, regions: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Which triangles (f,) are not in the largest connected piece of their region."""
+    """Return a mask (f,) of the triangles outside the largest connected piece of their region."""
     sides = mesh.hinge_faces[np.equal(*regions[mesh.hinge_faces].T)]
     links = coo_array((np.ones(len(sides)), sides.T), shape=(len(regions), len(regions)))
     _, piece = connected_components(links, directed=False)
     order = np.argsort(np.bincount(piece)[piece], kind="stable")
     largest = np.zeros(regions.max() + 1, dtype=piece.dtype)
-    largest[regions[order]] = piece[order]  # the last one stays
+    largest[regions[order]] = piece[order]  # the last (largest) piece wins
     return piece != largest[regions]
 
 
 def _merged(mesh: Mesh, regions: NDArray, creased: NDArray[np.bool_], closed: float) -> NDArray[np.intp]:
-    """Regions (f,) joined until all borders are `creased` (h,) over the part `closed` of their length."""
+    """Merge regions (f,) until all borders are `creased` (h,) over the fraction `closed` of their length."""
     graph = ski.graph.RAG()
     graph.add_nodes_from((int(r), {"labels": [int(r)]}) for r in np.unique(regions))
     sides = np.sort(regions[mesh.hinge_faces], axis=1)
@@ -157,11 +158,11 @@ def _merged(mesh: Mesh, regions: NDArray, creased: NDArray[np.bool_], closed: fl
 
 
 def _nothing(graph: ski.graph.RAG, a: int, b: int) -> None:
-    """Regions have no properties of their own that change as two become one."""
+    """Do nothing: regions have no properties to update in a merge."""
 
 
 def _joined(graph: ski.graph.RAG, a: int, b: int, other: int) -> dict[str, float]:
-    """Border to `other` of the union of the regions `a` and `b`."""
+    """Return the border between `other` and the union of the regions `a` and `b`."""
     return _border([graph[k][other] for k in (a, b) if graph.has_edge(k, other)])
 
 
@@ -180,11 +181,11 @@ def _check(mesh: Mesh, fold: float, width: float, closed: float) -> None:
     e1, e2 = (mesh.vertices[mesh.faces[:, k], :2] - mesh.vertices[mesh.faces[:, 0], :2] for k in (1, 2))
     shadow = np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]) / 2
     if np.any(shadow < _FLAT * mesh.face_area):
-        raise ValueError("the rest shape is not flat; facets are found on a sheet that lies in the x-y plane")
+        raise ValueError("the rest shape is not flat; facets need a sheet that lies in the x-y plane")
     if not 0 < fold < np.inf:
         raise ValueError(f"fold = {fold} rad; give a positive angle")
     if not 0.5 <= width * mesh.linear_density < np.inf:
         least = 0.5 / mesh.linear_density
-        raise ValueError(f"width = {width} m; give at least half the distance of nodes, {least:.3g} m")
+        raise ValueError(f"width = {width} m; give at least half the node distance, {least:.3g} m")
     if not 0 <= closed <= 1:
-        raise ValueError(f"closed = {closed}; give a part of the border between 0 and 1")
+        raise ValueError(f"closed = {closed}; give a fraction of the border between 0 and 1")

@@ -1,15 +1,15 @@
-"""Areas of facets against the law of a fragmentation process.
+"""Distribution of facet areas, compared with the law of a fragmentation process.
 
 Andrejevic, Lee, Rubinstein & Rycroft, A model for the fragmentation kinetics of crumpled thin sheets, Nature
-Communications 12 (2021) 1470. Facets of area x, in units of the sheet's, split at the rate $\\sqrt x$. At
+Communications 12 (2021) 1470. Facets of area x, in units of the sheet area, split at the rate $\\sqrt x$. At
 time t their mean is $s = a(a+1)/t^2$, and $\\xi = x/s$ has the density
 
 $$\\phi(\\xi) = \\frac{a(a+1)}{2\\Gamma(a)} [a(a+1)\\xi]^{a/2-1} e^{-\\sqrt{a(a+1)\\xi}}:$$
 
-$\\sqrt{a(a+1)\\xi} = t\\sqrt x$ has the gamma distribution of shape a. At constant a this is what comes
-about in the long run where a facet splits into $1 + 2/a$ with areas in Dirichlet proportions of parameter
-$a/2$; a = 2 is a split in two at random (McGrady & Ziff, Phys. Rev. Lett. 58 (1987) 892). That $a =
-\\sqrt{t/\\tau}$ grows is an observation on sheets.
+$\\sqrt{a(a+1)\\xi} = t\\sqrt x$ has the gamma distribution of shape a. For constant a this is the long-time
+limit of a process in which a facet splits into $1 + 2/a$ parts, with area fractions from a Dirichlet
+distribution of parameter $a/2$. The case a = 2 is a random split in two (McGrady & Ziff, Phys. Rev. Lett. 58
+(1987) 892). The growth $a = \\sqrt{t/\\tau}$ is an observation on sheets.
 """
 
 from __future__ import annotations
@@ -27,68 +27,69 @@ TAU = 24.04
 
 
 class Maturity(NamedTuple):
-    """How far a sheet is fragmented. Dimensionless, as areas are in units of the sheet's."""
+    """Degree of fragmentation of a sheet. Dimensionless, since areas are in units of the sheet area."""
 
     a: float  # shape of the law
     t: float  # time of the process
 
 
 class AreaFit(NamedTuple):
-    """Areas of facets against three laws that use nothing but these areas.
+    """Comparison of facet areas with three laws whose parameters come from these areas alone.
 
-    Kolmogorov-Smirnov distances are largest differences of cumulative distributions, from 0 to 1. The
-    fragmentation law and the exponential one take one number from the areas, their mean; the log-normal law
-    takes two, the mean and the variance of their logarithms (maximum likelihood).
+    The Kolmogorov-Smirnov distance is the largest difference of cumulative distributions, from 0 to 1. The
+    fragmentation and exponential laws have one fitted parameter, the mean area. The log-normal law has two,
+    the mean and the variance of the logarithms (maximum likelihood).
     """
 
     facets: int  # number of areas
-    mean: float  # s, mean area in units of a sheet's
+    mean: float  # s, mean area in units of the sheet area
     a: float  # shape of the fragmentation law with this mean
     t: float  # its time
-    fragmentation: float  # distance to that law
-    exponential: float  # distance to the exponential law of the same mean
-    lognormal: float  # distance to the log-normal law of greatest likelihood
+    fragmentation: float  # Kolmogorov-Smirnov distance to that law
+    exponential: float  # distance to the exponential law with the same mean
+    lognormal: float  # distance to the maximum-likelihood log-normal law
 
 
 def maturity(mean: float) -> Maturity:
-    """Shape and time of the law for the `mean` area s of the facets in units of the sheet's, 0 < s <= 1.
+    """Return shape and time of the law for the `mean` facet area s in units of the sheet area, 0 < s <= 1.
 
     With $t = \\tau a^2$ the mean $s = a(a+1)/t^2$ gives $s \\tau^2 a^3 = a + 1$, which has one positive root.
 
     **Raises:** ValueError if `mean` is out of range.
     """
     if not 0 < mean <= 1:
-        raise ValueError(f"mean = {mean}; give the mean area over the area of the sheet, above 0, at most 1")
+        raise ValueError(f"mean = {mean}; give the mean area divided by the sheet area, > 0 and <= 1")
     roots = np.roots([mean * TAU**2, 0, -1, -1])
     a = float(roots[np.argmax(roots.real)].real)
     return Maturity(a, TAU * a**2)
 
 
 def area_density(xi: ArrayLike, a: float) -> FloatArray:
-    """Density $\\phi$ of areas `xi` > 0 over their mean, for the law of shape `a` > 0, dimensionless."""
+    """Return the density $\\phi$ of `xi` > 0, area / mean area, for the law of shape `a` > 0."""
     u = np.sqrt(a * (a + 1) * np.asarray(xi, dtype=np.float64))
     return gamma.pdf(u, a) * a * (a + 1) / (2 * u)
 
 
 def area_cdf(xi: ArrayLike, a: float) -> FloatArray:
-    """Part $P(a, \\sqrt{a(a+1)\\xi})$ of facets of at most `xi` times the mean area, for shape `a` > 0."""
+    """Return the fraction $P(a, \\sqrt{a(a+1)\\xi})$ of facets up to `xi` times the mean area; `a` > 0."""
     return gamma.cdf(np.sqrt(a * (a + 1) * np.asarray(xi, dtype=np.float64)), a)
 
 
 def fit_areas(areas: ArrayLike, sheets: int = 1) -> AreaFit:
-    """All facets' `areas` (k,) of one sheet, or of several `sheets` alike, in m2 or any other unit, against
-    the laws of `AreaFit`.
+    """Compare facet areas with the laws of `AreaFit`.
 
-    **Raises:** ValueError unless there are at least two areas, all positive, and not all equal, of no more
-    sheets than that.
+    **Arguments:** `areas` (k,): all facets of one sheet, or of `sheets` equal sheets, in any unit.
+
+    **Raises:** ValueError unless there are at least two areas, all positive and not all equal, and 1 <=
+    `sheets` <= k.
     """
     x = np.asarray(areas, dtype=np.float64)
     if x.ndim != 1 or len(x) < 2 or not np.all((x > 0) & np.isfinite(x)):
         raise ValueError(f"areas of shape {x.shape}; give the positive areas (k,) of two facets or more")
     if np.ptp(x) == 0:
-        raise ValueError("all areas are equal, which leaves no distribution to compare; give measured ones")
+        raise ValueError("all areas are equal, so there is no distribution to compare; give measured areas")
     if not 1 <= sheets <= len(x):
-        raise ValueError(f"sheets = {sheets} with {len(x)} facets; give how many sheets these are of")
+        raise ValueError(f"sheets = {sheets} with {len(x)} facets; give 1 or more, at most one per facet")
     xi, mean = x / x.mean(), sheets / len(x)
     a, t = maturity(mean)
     logs = np.log(xi)

@@ -1,4 +1,4 @@
-"""Growth of the crease length of a sheet that is crumpled again and again: which law does it follow?"""
+"""Growth laws of the crease length of a repeatedly crumpled sheet."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 
 from jaxcrumple.mesh.mesh import FloatArray
 
-#: Laws of growth with two constants each, as functions of the cycle n, c1 and c2.
+#: Growth laws with two constants each, as functions of the cycle n, c1 and c2.
 LAWS: dict[str, Callable[[FloatArray, float, float], FloatArray]] = {
     "logarithmic": lambda n, c1, c2: c1 * np.log1p(c2 * n),
     "linear": lambda n, c1, c2: c1 + c2 * n,
@@ -19,25 +19,25 @@ LAWS: dict[str, Callable[[FloatArray, float, float], FloatArray]] = {
 }
 
 _CONSTANTS = 2
-_DECADES = 6  # c2 of the logarithm is sought this far from one over the number of cycles
+_DECADES = 6  # search range of c2 of the logarithmic law, on both sides of 1 / last cycle
 _STEEPEST = 10.0  # largest exponent of the power law
 
 
 def fit_growth(cycle: ArrayLike, length: ArrayLike) -> pd.DataFrame:
-    """Least-squares fits of three laws to the crease `length` (m,) in m after each `cycle` (m,), from 1.
+    """Fit three laws to the crease `length` (m,) in m after each `cycle` (m,), from 1, by least squares.
 
-    "logarithmic", $c_1 \\ln(1 + c_2 n)$ (Gottesman et al., Communications Physics 1 (2018) 70), "linear",
-    $c_1 + c_2 n$, and "power", $c_1 n^{c_2}$.
+    The laws are "logarithmic", $c_1 \\ln(1 + c_2 n)$ (Gottesman et al., Communications Physics 1 (2018) 70),
+    "linear", $c_1 + c_2 n$, and "power", $c_1 n^{c_2}$.
 
-    **Returns:** a row for each law, the best first, with `c1`, `c2`, the residual sum of squares `rss` in
-    m2, and `aicc`, Akaike's information criterion for few points, $m \\ln(rss/m) + 2k + 2k(k+1)/(m-k-1)$
-    with k = 3, two constants and the variance (Hurvich & Tsai, Biometrika 76 (1989) 297). It is NaN for m <
-    5, where it is not defined; as all laws have two constants, its order is that of `rss` anyway. Of lengths
-    on a line through zero only the product of the logarithm's c1 and c2 means something: c2 goes to its
-    lower limit.
+    **Returns:** one row per law, the best first, with `c1`, `c2`, the residual sum of squares `rss` in m2,
+    and `aicc`, Akaike's information criterion for small samples, $m \\ln(rss/m) + 2k + 2k(k+1)/(m-k-1)$ with
+    k = 3: two constants and the variance (Hurvich & Tsai, Biometrika 76 (1989) 297). `aicc` is NaN for m < 5,
+    where it is undefined. All laws have two constants, so `aicc` and `rss` rank them equally. If the lengths
+    lie on a line through zero, c2 of the logarithmic law goes to its lower limit and only c1 c2 is
+    meaningful.
 
-    **Raises:** ValueError for fewer than three different cycles (two constants fit two points by any law),
-    cycles below 1, lengths that are not positive, or shapes that differ.
+    **Raises:** ValueError for fewer than three different cycles (any law fits two points exactly), cycles
+    below 1, lengths that are not positive, or different shapes.
     """
     n, y = _checked(cycle, length)
     rows = {"logarithmic": _logarithmic(n, y), "linear": _linear(n, y), "power": _power(n, y)}
@@ -66,7 +66,7 @@ def _power(n: FloatArray, y: FloatArray) -> tuple[float, float]:
 def _separable(
     n: FloatArray, y: FloatArray, basis: Callable[[float], FloatArray], bounds: tuple[float, float]
 ) -> tuple[float, float]:
-    """c and q of least squares of `c * basis(q) - y`, c eliminated (variable projection)."""
+    """Minimise |`c * basis(q) - y`|^2 with c eliminated (variable projection); return c and q."""
 
     def factor(q: float) -> float:
         return float(basis(q) @ y / (basis(q) @ basis(q)))
@@ -84,7 +84,7 @@ def _aicc(rss: float, y: FloatArray) -> float:
     m, k = len(y), _CONSTANTS + 1
     if m <= k + 1:
         return float("nan")
-    variance = max(rss / m, (np.finfo(float).eps * np.abs(y).max()) ** 2)  # a perfect fit is one to rounding
+    variance = max(rss / m, (np.finfo(float).eps * np.abs(y).max()) ** 2)  # >= rounding error
     return float(m * np.log(variance) + 2 * k + 2 * k * (k + 1) / (m - k - 1))
 
 

@@ -1,4 +1,4 @@
-"""The audit of a frame: how often the sheet passes through itself."""
+"""Count self-intersections of the sheet."""
 
 from numpy.typing import ArrayLike
 
@@ -8,6 +8,8 @@ from jaxcrumple.mesh.mesh import Mesh
 
 
 def count_intersections(mesh: Mesh, x: ArrayLike) -> int:
-    """Number of pairs of an edge and a triangle that it pierces, at positions `x` (n, 3) in m; 0 for a sheet
-    that is free of intersections. See `jaxcrumple.geometry.intersections`."""
+    """Return the number of edge-triangle pairs where the edge pierces the triangle; `x` (n, 3) in m.
+
+    It is 0 for a sheet without self-intersections. See `jaxcrumple.geometry.intersections`.
+    """
     return len(intersections(positions(mesh, x), mesh.faces, mesh.edges))

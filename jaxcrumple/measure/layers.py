@@ -1,9 +1,9 @@
-"""Stacking: how many layers of a crumpled sheet lie on top of one another, and how they are turned.
+"""Stacking: number and orientation of the layers of a crumpled sheet.
 
 Cambou & Menon, PNAS 108 (2011) 14741, find that a sheet crumpled into a ball is locally ordered in parallel
-stacks, which proceed inwards from its surface. The measures here are not theirs, which start from images: a
-chord crosses a layer where it pierces a triangle. By `radial_profile` counts become functions of the radius.
-A chord that meets an edge of the mesh to the last digit pierces both of its triangles.
+stacks, which extend inwards from its surface. Their measures use images; the measures here use chords: a
+chord crosses a layer where it pierces a triangle. `radial_profile` converts face values to a function of the
+radius. A chord that meets a mesh edge exactly pierces both triangles of the edge.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
 
 def chord_layers(mesh: Mesh, x: ArrayLike, chords: ArrayLike) -> NDArray[np.intp]:
-    """Number (k,) of layers that each of `chords` (k, 2, 3), from point to point in m, crosses at positions
-    `x` (n, 3) in m. A chord along the normals of a stack counts its layers.
+    """Return the number (k,) of layers that each chord crosses at positions `x` (n, 3) in m.
+
+    `chords` (k, 2, 3): end points in m. A chord along the normal of a stack counts its layers.
 
     **Raises:** ValueError for a wrong shape.
     """
@@ -30,16 +31,16 @@ def chord_layers(mesh: Mesh, x: ArrayLike, chords: ArrayLike) -> NDArray[np.intp
 
 
 def stacked_layers(mesh: Mesh, x: ArrayLike, reach: float, *, limit_deg: float = 30.0) -> NDArray[np.intp]:
-    """Number (f,) of layers in the stack at each face, its own included, at positions `x` (n, 3) in m.
+    """Return the number (f,) of layers in the stack at each face, itself included, at `x` (n, 3) in m.
 
-    A chord goes from the middle of the face along its normal by `reach`, in m, to both sides. Of the layers
-    that it crosses those count that are turned against the face by less than `limit_deg` degrees; a side of
-    a sharp fold is a layer too. In an isotropic arrangement with an area A per volume, which has no stacks,
-    the mean is $1 + A\\,r \\sin^2 \\alpha$ with the reach r and the limit $\\alpha$ up to 90 degrees.
+    A chord extends from the middle of the face along its normal by `reach` (m) to both sides. It counts the
+    layers that it crosses and whose angle to the face is less than `limit_deg` degrees; a side of a sharp
+    fold counts as a layer. In an isotropic arrangement with area A per volume, without stacks, the mean
+    is $1 + A\\,r \\sin^2 \\alpha$ with the reach r and the limit $\\alpha$ <= 90 degrees.
 
-    Time and memory grow with the third power of the reach: a few gaps between layers are meant, not the ball.
+    Time and memory grow as the third power of `reach`: choose a few layer distances, not the ball size.
 
-    **Raises:** ValueError for a wrong shape of `x`, a reach that is not positive, or a limit out of (0, 90].
+    **Raises:** ValueError for a wrong shape of `x`, a reach that is not positive, or a limit outside (0, 90].
     """
     if not 0 < reach < np.inf:
         raise ValueError(f"reach = {reach!r} is not usable; give a positive distance in metres")
@@ -50,11 +51,11 @@ def stacked_layers(mesh: Mesh, x: ArrayLike, reach: float, *, limit_deg: float =
 
 
 def radial_alignment(mesh: Mesh, x: ArrayLike) -> FloatArray:
-    """Order parameter $(3 \\cos^2 \\beta - 1)/2$ (f,) of the angle $\\beta$ between the normal of a face and
-    the direction from the centre of mass to its middle, at positions `x` (n, 3) in m.
+    """Return the orientational order parameter $(3 \\cos^2 \\beta - 1)/2$ (f,) at positions `x` (n, 3) in m.
 
-    1 where layers lie around the centre as in an onion, -1/2 where they point at it; its mean over directions
-    that are isotropic is 0.
+    $\\beta$ is the angle between the normal of a face and the direction from the centre of mass to the middle
+    of the face. The value is 1 for concentric layers, as in an onion, and -1/2 for radial layers; the mean
+    over isotropic directions is 0.
     """
     corners = positions(mesh, x)[mesh.faces]
     outward = corners.mean(axis=1) - center_of_mass(mesh, x)
@@ -63,14 +64,17 @@ def radial_alignment(mesh: Mesh, x: ArrayLike) -> FloatArray:
 
 
 def crossings(chords: FloatArray, corners: FloatArray) -> NDArray[np.intp]:
-    """Pairs (m, 2) of one of `chords` (k, 2, 3) and a triangle of `corners` (f, 3, 3) that it pierces."""
+    """Return pairs (m, 2): rows of `chords` (k, 2, 3), and triangles in `corners` (f, 3, 3) they pierce."""
     pairs = close_pairs(chords, corners)
     return pairs[pierces(chords[pairs[:, 0]], corners[pairs[:, 1]])]
 
 
 def parallel_crossings(corners: FloatArray, reach: float, cosine: float) -> NDArray[np.intp]:
-    """Number (f,) of other triangles that the chord through a triangle's middle, along its normal by `reach`
-    to both sides, crosses, and whose normals make an angle with its own that has at least this `cosine`."""
+    """Return the number (f,) of parallel triangles along the normal of each triangle.
+
+    A chord extends from the middle of the triangle along its normal by `reach` to both sides. It counts other
+    triangles that it crosses if the cosine of the angle between the normals is at least `cosine`.
+    """
     normal = normals(corners)
     chords = corners.mean(axis=1)[:, None] + reach * np.stack([-normal, normal], axis=1)
     one, two = crossings(chords, corners).T

@@ -1,4 +1,4 @@
-"""How far an energy is concentrated on a few places of the sheet (Section 4.1, Fig. 8c)."""
+"""Localization of the energy on a small part of the sheet (Section 4.1, Fig. 8c)."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
 
 def localization(mesh: Mesh, density: ArrayLike, share: float = 0.5) -> float:
-    """Smallest share of the rest area that holds a `share` of the energy: `share` itself where it is uniform.
+    """Return the smallest fraction of the rest area that contains the fraction `share` of the energy.
 
-    `density` (f,): energy per rest area of the faces, in J/m2, such as `face_bending_density`. Of the last
-    face only as much counts as is needed. The result depends on the mesh, whose triangles are the smallest
-    places; nan for a sheet without energy.
+    It equals `share` for a uniform energy, and is nan for a sheet without energy. `density` (f,): energy per
+    rest area of the faces, in J/m2, such as `face_bending_density`. The last face counts only in part. The
+    result depends on the mesh, since a triangle is the smallest area.
 
     **Raises:** ValueError unless there is one density for each face, none negative, and 0 < share < 1.
     """
     if not 0 < share < 1:
-        raise ValueError(f"share = {share!r} is not usable; give a part of the energy between 0 and 1")
+        raise ValueError(f"share = {share!r} is not usable; give a fraction of the energy between 0 and 1")
     density = _density(mesh, density)
     order = np.argsort(-density)
     area, held = (np.cumsum(part[order]) for part in (mesh.face_area, density * mesh.face_area))
@@ -28,10 +28,11 @@ def localization(mesh: Mesh, density: ArrayLike, share: float = 0.5) -> float:
 
 
 def participation_ratio(mesh: Mesh, density: ArrayLike) -> float:
-    """$(\\int e\\,dA)^2 / (A \\int e^2 dA)$ of an energy density e: 1 if it is uniform; the share of a part
-    of the area if it is uniform there and zero elsewhere (Bell & Dean, Discuss. Faraday Soc. 50 (1970) 55).
+    """Return the participation ratio $(\\int e\\,dA)^2 / (A \\int e^2 dA)$ of an energy density e.
 
-    `density` (f,) in J/m2 as in `localization`; nan for a sheet without energy.
+    It is 1 for a uniform density. For a density that is uniform on a part of the area and zero elsewhere it
+    is the fraction of that part (Bell & Dean, Discuss. Faraday Soc. 50 (1970) 55). It is nan for a sheet
+    without energy. `density` (f,) in J/m2 as in `localization`.
 
     **Raises:** ValueError unless there is one density for each face, none negative.
     """
@@ -45,5 +46,5 @@ def _density(mesh: Mesh, density: ArrayLike) -> FloatArray:
     if density.shape != mesh.face_area.shape:
         raise ValueError(f"density has shape {density.shape}; give one for each of {len(mesh.faces)} faces")
     if not np.all(density >= 0):
-        raise ValueError("density is negative or nan somewhere; give energies, which are not")
+        raise ValueError("density has a negative or nan value; give energies per area >= 0")
     return density

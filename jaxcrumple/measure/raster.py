@@ -1,4 +1,4 @@
-"""A flat sheet as an image, on which the algorithms of image analysis work."""
+"""Raster image of a flat sheet, the input of image analysis."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from scipy.ndimage import gaussian_filter
 from jaxcrumple._jax.memory import require
 from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
-_BYTES = 60.0  # of a pixel or a point of a line, with copies
-_SUBDIVISION = 4  # a triangle is seen at the centres of its 4 x 4 parts
+_BYTES = 60.0  # per pixel or point of a line, with copies
+_SUBDIVISION = 4  # samples of a triangle: the centres of its 4 x 4 parts
 
 
 class Raster(NamedTuple):
-    """Square pixels over the x-y plane; row i and column j are at `origin + pixel * (j, i)`."""
+    """Square pixels in the x-y plane; the pixel in row i and column j is at `origin + pixel * (j, i)`."""
 
     origin: FloatArray  # (2,) x, y of the first pixel [m]
     pixel: float  # side of a pixel [m]
@@ -24,7 +24,7 @@ class Raster(NamedTuple):
 
     @classmethod
     def over(cls, mesh: Mesh, pixel: float) -> Raster:
-        """Pixels of side `pixel` in m over the sheet, with a margin of at least one."""
+        """Cover the sheet with pixels of side `pixel` in m and a margin of at least one pixel."""
         low, high = mesh.vertices[:, :2].min(axis=0), mesh.vertices[:, :2].max(axis=0)
         columns, rows = np.ceil((high - low) / pixel) + 3.0
         what = f"an image of {columns:.4g} x {rows:.4g} pixels"
@@ -32,13 +32,13 @@ class Raster(NamedTuple):
         return cls(low - pixel, pixel, (int(rows), int(columns)))
 
     def pixels(self, points: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Rows and columns (...) of the pixels nearest to `points` (..., 2) in m."""
+        """Return rows and columns (...) of the pixels nearest to `points` (..., 2) in m."""
         columns, rows = np.moveaxis(np.rint((points - self.origin) / self.pixel).astype(int), -1, 0)
         return rows, columns
 
     def inside(self, mesh: Mesh) -> NDArray[np.bool_]:
-        """Which pixels (rows, columns) have their centre on the sheet."""
-        from matplotlib.tri import Triangulation  # here, so that runs need not wait for matplotlib
+        """Return a mask (rows, columns) of the pixels whose centre is on the sheet."""
+        from matplotlib.tri import Triangulation  # imported here, since matplotlib is slow to import
 
         x, y = mesh.vertices[:, :2].T
         rows, columns = np.indices(self.shape)
@@ -46,9 +46,9 @@ class Raster(NamedTuple):
         return np.asarray(Triangulation(x, y, mesh.faces).get_trifinder()(*at)) >= 0
 
     def lines(self, ends: FloatArray) -> tuple[NDArray, NDArray, NDArray]:
-        """Points along straight lines between `ends` (m, 2, 2), less than a pixel apart.
+        """Sample straight lines between `ends` (m, 2, 2) at points less than a pixel apart.
 
-        **Returns:** their rows, columns, and the line that each belongs to.
+        **Returns:** row, column and line number of each point.
         """
         longest = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).max(initial=0.0)
         points = np.ceil(2 * longest / self.pixel) + 1.0
@@ -60,9 +60,9 @@ class Raster(NamedTuple):
         return rows.ravel(), columns.ravel(), np.repeat(np.arange(len(ends)), count)
 
     def density(self, ends: FloatArray, amount: FloatArray, sigma: float) -> FloatArray:
-        """Amounts (m,) spread evenly along lines (m, 2, 2) and by a Gaussian of width `sigma` in m across.
+        """Spread `amount` (m,) along the lines `ends` (m, 2, 2), then by a Gaussian of width `sigma` in m.
 
-        **Returns:** amount per area (rows, columns), in the unit of `amount` over m2.
+        **Returns:** amount per area (rows, columns), in the unit of `amount` per m2.
         """
         rows, columns, line = self.lines(ends)
         points = np.bincount(line, minlength=len(ends))
@@ -71,13 +71,13 @@ class Raster(NamedTuple):
         return gaussian_filter(image, sigma / self.pixel, mode="constant") / self.pixel**2
 
     def on_faces(self, mesh: Mesh, image: NDArray) -> NDArray:
-        """Values (f, m) of `image` at m points spread evenly over each triangle."""
+        """Sample `image` at m points spread evenly over each triangle: values (f, m)."""
         corners = mesh.vertices[mesh.faces][..., :2]
         return image[self.pixels(np.einsum("mc,fcd->fmd", _barycentres(_SUBDIVISION), corners))]
 
 
 def _barycentres(n: int) -> FloatArray:
-    """Barycentric coordinates (n^2, 3) of the centres of the equal triangles that tile a triangle."""
+    """Return barycentric coordinates (n^2, 3) of the centres of n^2 equal parts of a triangle."""
     i, j = np.indices((n, n)).reshape(2, -1)
     up, down = i + j < n, i + j < n - 1
     first = np.stack([i[up] + 1 / 3, j[up] + 1 / 3], axis=1)

@@ -1,4 +1,4 @@
-"""Cross-sections: where a plane cuts the sheet (Fig. 8b)."""
+"""Cross-sections of the sheet with a plane (Fig. 8b)."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _PRISM = np.concatenate([_TRIANGLE, _TRIANGLE + 3, np.arange(6).reshape(2, 3).T]
 
 
 class Section(NamedTuple):
-    """The lines in which a plane cuts the triangles of a sheet."""
+    """Lines of intersection between a plane and the triangles of a sheet."""
 
-    faces: NDArray[np.intp]  # (s,) rows of the faces that are cut
+    faces: NDArray[np.intp]  # (s,) indices of the cut faces
     ends: FloatArray  # (s, 2, 2) both ends of each line, in m along the axes of the plane
-    axes: FloatArray  # (2, 3) unit vectors of the plane, with the normal right-handed
+    axes: FloatArray  # (2, 3) unit vectors in the plane, right-handed with the normal
 
     @property
     def length(self) -> float:
@@ -29,10 +29,10 @@ class Section(NamedTuple):
 
 
 def cross_section(mesh: Mesh, x: ArrayLike, point: ArrayLike, normal: ArrayLike) -> Section:
-    """The lines in which the plane through `point` (3,) in m with a `normal` (3,) of any length cuts the
-    sheet at positions `x` (n, 3) in m. Ends of lines are measured from `point`.
+    """Cut the sheet at positions `x` (n, 3) in m with the plane through `point` (3,) in m.
 
-    A corner in the plane counts as above it, so that lines are continuous and none is there twice.
+    The `normal` (3,) of the plane may have any length. The line ends are relative to `point`. A corner in the
+    plane counts as above it, so that lines are continuous and unique.
 
     **Raises:** ValueError for a wrong shape or a normal without direction.
     """
@@ -40,7 +40,7 @@ def cross_section(mesh: Mesh, x: ArrayLike, point: ArrayLike, normal: ArrayLike)
     origin, axes = plane(point, normal)
     ends, cut = _cut(corners - origin, _TRIANGLE, axes)
     faces = np.flatnonzero(cut.any(axis=1))
-    # Two sides of a triangle are cut: they come first when sorted.
+    # The plane cuts two sides of each triangle; the sort puts them first.
     two = np.argsort(~cut[faces], axis=1, kind="stable")[:, :2, None]
     return Section(faces, np.take_along_axis(ends[faces], two, axis=1), axes)
 
@@ -48,11 +48,11 @@ def cross_section(mesh: Mesh, x: ArrayLike, point: ArrayLike, normal: ArrayLike)
 def thick_section(
     mesh: Mesh, x: ArrayLike, thickness: float, point: ArrayLike, normal: ArrayLike
 ) -> FloatArray:
-    """Outlines (s, 5, 2) in m of what a plane cuts of a sheet with its `thickness` in m.
+    """Return the outlines (s, 5, 2) in m of the cut through a sheet of given `thickness` in m.
 
-    Each triangle is a prism that reaches by half of the thickness to both sides; prisms overlap on the inside
-    of a fold and leave a wedge on its outside. The corners of an outline go round it, the last one repeated
-    where there are fewer than five. Other arguments and errors as `cross_section`.
+    Each triangle is a prism that extends half the thickness to both sides. Prisms overlap on the inside of a
+    fold and leave a wedge on its outside. The corners of an outline are in cyclic order; an outline with
+    fewer than five repeats the last one. Other arguments and errors as in `cross_section`.
     """
     corners = positions(mesh, x)[mesh.faces]
     origin, axes = plane(point, normal)
@@ -68,7 +68,7 @@ def thick_section(
 
 
 def plane(point: ArrayLike, normal: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """A point (3,) in m and unit vectors (2, 3) of the plane through it, x and y where its normal is z.
+    """Return the point (3,) in m and two unit vectors (2, 3) in the plane; x and y for the normal z.
 
     **Raises:** ValueError for a wrong shape or a normal without direction.
     """
@@ -86,7 +86,7 @@ def plane(point: ArrayLike, normal: ArrayLike) -> tuple[FloatArray, FloatArray]:
 
 
 def _cut(vertices: FloatArray, edges: NDArray, axes: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Points (f, m, 2) where a plane through 0 cuts `edges` (m, 2) of bodies (f, v, 3), and which are cut."""
+    """Cut `edges` (m, 2) of bodies (f, v, 3) with a plane through 0: points (f, m, 2), mask (f, m)."""
     height = vertices @ np.cross(*axes)
     low, high = height[:, edges[:, 0]], height[:, edges[:, 1]]
     cut = (low >= 0) != (high >= 0)

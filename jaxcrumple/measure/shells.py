@@ -1,6 +1,6 @@
-"""How a crumpled sheet lies around its centre of mass: the area of its triangles in spherical shells.
+"""Radial distribution of a crumpled sheet: triangle area in shells around the centre of mass.
 
-The areas are exact for the triangles, however large these are beside the shells.
+The areas are exact for triangles of any size relative to the shells.
 """
 
 from __future__ import annotations
@@ -12,24 +12,24 @@ from jaxcrumple._jax.memory import require
 from jaxcrumple.measure.strain import positions
 from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
-_BYTES = 24.0  # of a triangle in a shell, with copies
+_BYTES = 24.0  # per triangle and shell, with copies
 
 
 def center_of_mass(mesh: Mesh, x: ArrayLike) -> FloatArray:
-    """Centre of mass (3,) in m of a sheet of uniform thickness at positions `x` (n, 3) in m.
+    """Return the centre of mass (3,) in m of a sheet of uniform thickness at positions `x` (n, 3) in m.
 
-    Each triangle has the mass of its rest area, evenly spread.
+    Each triangle has the mass of its rest area, evenly distributed.
     """
     return mesh.node_area @ positions(mesh, x) / mesh.node_area.sum()
 
 
 def shell_areas(mesh: Mesh, x: ArrayLike, radii: ArrayLike) -> FloatArray:
-    """Area (f, k) in m2 of each triangle in each of k shells around the centre of mass.
+    """Return the area (f, k) in m2 of each triangle in each of k shells around the centre of mass.
 
-    **Arguments:** `x` (n, 3): positions in m, at which the areas are taken; `radii` (k + 1,): bounds of the
-    shells in m, ascending from 0 or more.
+    **Arguments:** `x` (n, 3): positions in m, which define the areas; `radii` (k + 1,): bounds of the shells
+    in m, ascending, the first >= 0.
 
-    **Raises:** ValueError for a wrong shape of `x`, or unless `radii` ascend.
+    **Raises:** ValueError for a wrong shape of `x`, or if `radii` do not ascend.
     """
     radii = np.asarray(radii, dtype=np.float64)
     if radii.ndim != 1 or len(radii) < 2 or not (radii[0] >= 0 and np.all(np.diff(radii) > 0)):
@@ -40,17 +40,17 @@ def shell_areas(mesh: Mesh, x: ArrayLike, radii: ArrayLike) -> FloatArray:
 
 
 def require_shells(mesh: Mesh, shells: int) -> None:
-    """Refuse more shells than memory holds. **Raises:** ValueError."""
+    """Refuse more shells than fit into memory. **Raises:** ValueError."""
     what = f"a table of {len(mesh.faces)} triangles in {shells} shells"
     require(_BYTES * len(mesh.faces) * shells, what, "choose fewer shells")
 
 
 def radial_profile(mesh: Mesh, x: ArrayLike, values: ArrayLike, radii: ArrayLike) -> FloatArray:
-    """Area-weighted mean (k,) of face `values` (f,) in shells around the centre of mass; nan in an empty one.
+    """Return the area-weighted mean (k,) of face `values` (f,) in each shell; nan in an empty shell.
 
     `x` (n, 3) and `radii` (k + 1,) in m as in `shell_areas`.
 
-    **Raises:** as `shell_areas`, and ValueError unless there is one value for each face.
+    **Raises:** as `shell_areas`, and ValueError unless there is one value per face.
     """
     values = np.asarray(values, dtype=np.float64)
     if values.shape != (len(mesh.faces),):
@@ -61,16 +61,17 @@ def radial_profile(mesh: Mesh, x: ArrayLike, values: ArrayLike, radii: ArrayLike
 
 
 def normals(corners: FloatArray) -> FloatArray:
-    """Unit normals (f, 3) of triangles `corners` (f, 3, 3); 0 where one has no area."""
+    """Return the unit normals (f, 3) of triangles `corners` (f, 3, 3); 0 for a triangle without area."""
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return _unit(normal)
 
 
 def area_within(corners: FloatArray, radii: FloatArray) -> FloatArray:
-    """Area (f, k) of triangles `corners` (f, 3, 3) within spheres of `radii` (k,) around the origin.
+    """Return the area (f, k) of triangles `corners` (f, 3, 3) within spheres of `radii` (k,) around 0.
 
-    A sphere cuts the plane of a triangle in a disc. Their common area is the sum over the sides of the signed
-    area between a side and the centre of the disc: a triangle where the side is inside, a sector elsewhere.
+    A sphere cuts the plane of a triangle in a disc. The common area of triangle and disc is a sum over the
+    sides. Each term is the signed area between the side and the centre of the disc: a triangle for the part
+    of the side inside the disc, a sector for the parts outside.
     """
     first = corners[:, 1] - corners[:, 0]
     normal = np.cross(first, corners[:, 2] - corners[:, 0])
@@ -84,12 +85,15 @@ def area_within(corners: FloatArray, radii: FloatArray) -> FloatArray:
 
 
 def _area_in_disc(corners: np.ndarray, squared: FloatArray) -> FloatArray:
-    """Area (f,) of triangles, complex `corners` (f, 3) counterclockwise, in discs of radii `squared`."""
+    """Return the area (f,) of triangles (complex `corners` (f, 3), counterclockwise) in discs.
+
+    `squared` (f,): squares of the radii of the discs.
+    """
     side = np.roll(corners, -1, axis=1) - corners
     length2 = np.maximum(np.abs(side) ** 2, np.finfo(float).tiny)
     along = (corners.conj() * side).real
     root = np.sqrt(np.maximum(along**2 - length2 * (np.abs(corners) ** 2 - squared[:, None]), 0.0))
-    # The ends of what is inside of each side; where nothing is they are one point, and only sectors are left.
+    # Both ends of the part of each side in the disc. They coincide if no part is inside: only sectors remain.
     enter, leave = (corners + np.clip((s * root - along) / length2, 0.0, 1.0) * side for s in (-1, 1))
     angles = np.angle(corners.conj() * enter) + np.angle(leave.conj() * (corners + side))
     return 0.5 * np.sum(squared[:, None] * angles + (enter.conj() * leave).imag, axis=1)

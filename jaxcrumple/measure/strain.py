@@ -1,4 +1,4 @@
-"""In-plane strain of the sheet: relative change of length of its edges."""
+"""In-plane strain: relative change of length of the edges."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
 
 def positions(mesh: Mesh, x: ArrayLike) -> FloatArray:
-    """`x` as float64 (n, 3) in m.
+    """Return `x` as float64 (n, 3) in m.
 
     **Raises:** ValueError unless it has one row of three finite coordinates for each node of `mesh`.
     """
@@ -21,7 +21,7 @@ def positions(mesh: Mesh, x: ArrayLike) -> FloatArray:
 
 
 def check_finite(name: str, values: FloatArray) -> None:
-    """Refuse what cannot be measured.
+    """Check that all values are finite.
 
     **Raises:** ValueError that names the first row that is not finite.
     """
@@ -31,21 +31,21 @@ def check_finite(name: str, values: FloatArray) -> None:
 
 
 def edge_length(mesh: Mesh, x: ArrayLike) -> FloatArray:
-    """Length (e,) of the edges in m at positions `x` (n, 3)."""
+    """Return the length (e,) of the edges in m at positions `x` (n, 3)."""
     x = positions(mesh, x)
     return np.linalg.norm(x[mesh.edges[:, 1]] - x[mesh.edges[:, 0]], axis=1)
 
 
 def edge_strain(mesh: Mesh, x: ArrayLike) -> FloatArray:
-    """Engineering strain (e,) of the edges, length / rest length - 1, at positions `x` (n, 3) in m."""
+    """Return the engineering strain (e,) of the edges, length / rest length - 1, at `x` (n, 3) in m."""
     return edge_length(mesh, x) / mesh.edge_length - 1.0
 
 
 def rms_strain(mesh: Mesh, x: ArrayLike) -> float:
-    """Root mean square of `edge_strain`, each edge counted once."""
+    """Return the root mean square of `edge_strain`, unweighted."""
     return float(np.sqrt(np.mean(edge_strain(mesh, x) ** 2)))
 
 
 def max_strain(mesh: Mesh, x: ArrayLike) -> float:
-    """Largest absolute value of `edge_strain`."""
+    """Return the largest absolute value of `edge_strain`."""
     return float(np.max(np.abs(edge_strain(mesh, x))))

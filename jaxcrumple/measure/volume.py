@@ -1,7 +1,7 @@
 """Volume fraction of a crumpled sheet as a function of the radius (Fig. 8b).
 
-After the experiments of Cambou & Menon, PNAS 108 (2011) 14741: how much of the space around its centre of
-mass the sheet fills, and whether it is denser inside or outside.
+It follows the experiments of Cambou & Menon, PNAS 108 (2011) 14741, and shows whether the sheet is denser
+near its centre of mass or outside.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
 
 class VolumeFraction(NamedTuple):
-    """Share of the space that the sheet fills, dimensionless, in shells around its centre of mass."""
+    """Volume fraction of the sheet, dimensionless, in shells around its centre of mass."""
 
     radii: FloatArray  # (k + 1,) bounds of the shells, from 0 to r0 [m]
     phi: FloatArray  # (k,) volume fraction of each shell
@@ -30,13 +30,13 @@ class VolumeFraction(NamedTuple):
 
 
 def volume_fraction(mesh: Mesh, x: ArrayLike, thickness: float, *, shells: int = 20) -> VolumeFraction:
-    """Volume fraction of a sheet in spherical shells of equal width (Fig. 8b).
+    """Return the volume fraction of a sheet in spherical shells of equal width (Fig. 8b).
 
-    The volume in a shell is that of the middle surface in it, exact for the triangles, times the thickness.
-    The surface has no thickness of its own here: shells should be wider than the sheet is thick, and a sheet
-    that passes through itself can fill more than all.
+    The volume in a shell is the area of the middle surface in it, exact for the triangles, times the
+    thickness. The surface itself has zero thickness: use shells wider than the thickness. A sheet with
+    self-intersections can have a volume fraction above 1.
 
-    **Arguments:** `x` (n, 3) in m; `thickness` in m; `shells`, their number k.
+    **Arguments:** `x` (n, 3) in m; `thickness` in m; `shells`: number k of shells.
 
     **Raises:** ValueError for a wrong shape of `x`, a thickness that is not positive or no shell.
     """

@@ -1,10 +1,9 @@
 """Flat meshes: the exact triangular lattice, and random Delaunay meshes regularised by Lloyd's algorithm.
 
-The construction is the paper's (section 3.1), with Qhull through SciPy in place of Voro++. Nodes lie
-exactly on the boundary of the domain, evenly spaced, and stay there; a rectangle has nodes at its corners.
-The other nodes start at random and move. Lloyd sweeps bring the relaxed moduli close to those of the
-lattice: on meshes of this kind the bending rigidity was 5.3 / 2.9 / 1.6 % too high after 10 / 30 / 100
-sweeps.
+The construction follows the paper (section 3.1), with SciPy's Qhull in place of Voro++. Boundary nodes are
+evenly spaced exactly on the boundary of the domain and stay fixed; a rectangle has nodes at its corners. The
+other nodes start at random positions, and Lloyd sweeps move them. The sweeps bring the relaxed moduli close
+to those of the lattice: the bending rigidity is 5.3 / 2.9 / 1.6 % too high after 10 / 30 / 100 sweeps.
 """
 
 from __future__ import annotations
@@ -21,19 +20,19 @@ from jaxcrumple._jax.memory import require
 from jaxcrumple.mesh.mesh import FloatArray, Mesh
 
 _ROW = math.sqrt(3) / 2  # height of a lattice row in units of the spacing
-_BYTES = 1000.0  # a node takes while a mesh is made, with its triangles, edges and hinges (1040 at 1e5)
-_INSET = _ROW / 2  # random nodes start at least so far from the boundary: its own nodes fill half a row
+_BYTES = 1000.0  # bytes per node during generation, with its triangles, edges and hinges (1040 at 1e5)
+_INSET = _ROW / 2  # smallest start distance of random nodes from the boundary, whose nodes fill half a row
 
 
 def hexagonal(nx: int, ny: int, spacing: float, *, reorder: bool = True) -> Mesh:
-    """A strip of `ny` rows of equilateral triangles, centred on the origin of the plane z = 0.
+    """Make a strip of `ny` rows of equilateral triangles, centred on the origin of the plane z = 0.
 
     It has `ny + 1` rows of `nx` nodes along x, `sqrt(3)/2 * spacing` apart, odd rows shifted by half a
     spacing. There are `2 (nx - 1) ny` faces. With `reorder=False` node i of row j has the number nx j + i.
 
-    **Arguments:** `nx >= 2` nodes a row; `ny >= 1` rows of triangles; `spacing` a > 0 [m].
+    **Arguments:** `nx >= 2` nodes per row; `ny >= 1` rows of triangles; `spacing` a > 0 [m].
 
-    **Raises:** `ValueError` for a count too small or not an integer, or a spacing not positive.
+    **Raises:** `ValueError` if a count is too small or not an integer, or the spacing is not positive.
     """
     nx, ny = whole_number("nx", nx, 2), whole_number("ny", ny, 1)
     spacing = _length("spacing", spacing)
@@ -52,7 +51,7 @@ def hexagonal(nx: int, ny: int, spacing: float, *, reorder: bool = True) -> Mesh
 
 
 def rectangle(width: float, height: float, nodes: int, *, seed: int = 0, sweeps: int = 100) -> Mesh:
-    """A random mesh of exactly `nodes` nodes on the rectangle |x| <= width/2, |y| <= height/2, z = 0.
+    """Make a random mesh of exactly `nodes` nodes on the rectangle |x| <= width/2, |y| <= height/2, z = 0.
 
     **Arguments:** `width`, `height` > 0 [m]; `nodes` >= 5, more if the rectangle is slender; `seed` >= 0 of
     the random positions; `sweeps` >= 0 of Lloyd's algorithm. Equal arguments give equal meshes.
@@ -63,9 +62,9 @@ def rectangle(width: float, height: float, nodes: int, *, seed: int = 0, sweeps:
 
 
 def disc(radius: float, nodes: int, *, seed: int = 0, sweeps: int = 100) -> Mesh:
-    """A random mesh of exactly `nodes` nodes on the disc x^2 + y^2 <= radius^2, z = 0.
+    """Make a random mesh of exactly `nodes` nodes on the disc x^2 + y^2 <= radius^2, z = 0.
 
-    The boundary is a regular polygon inscribed in the circle; its area falls a little short of the circle's.
+    The boundary is a regular polygon inscribed in the circle; its area is slightly smaller than the circle's.
 
     **Arguments:** `radius` > 0 [m]; `nodes` >= 5; `seed` and `sweeps` as in `rectangle`.
 
@@ -165,12 +164,12 @@ def _random_mesh(domain: _Domain, nodes: SupportsIndex, seed: SupportsIndex, swe
     spacing = lattice_spacing(domain.area, domain.perimeter, nodes)
     fixed = domain.boundary(spacing)
     if len(fixed) >= nodes:
-        raise ValueError(f"nodes = {nodes} all lie on the boundary of so slender a domain; give more")
+        raise ValueError(f"nodes = {nodes} all lie on the boundary of this slender domain; give more")
     guard = guard_points(fixed)
     free = domain.sample(np.random.default_rng(seed), nodes - len(fixed), _INSET * spacing)
     for _ in range(sweeps):
-        # Images clip the cells at the boundary. Nodes farther from it than half a spacing need none: to every
-        # point of the boundary one of its own nodes is nearer.
+        # Images clip the cells at the boundary. Nodes farther from it than half a spacing need no image: a
+        # boundary node is nearer to every point of the boundary.
         free = centroids(free, np.vstack([fixed, domain.mirror(free, spacing), guard]))
     points = np.vstack([fixed, free])
     triangles = Delaunay(np.vstack([points, guard])).simplices
@@ -181,7 +180,7 @@ def _random_mesh(domain: _Domain, nodes: SupportsIndex, seed: SupportsIndex, swe
 
 
 def lattice_spacing(area: float, perimeter: float, nodes: int) -> float:
-    """Side of the equilateral triangles that cover a domain without holes; each hole counts as a node.
+    """Side of the equilateral triangles that cover a domain; count each hole as one more node.
 
     With b = perimeter / a nodes on the rim, Euler's formula gives 2 n - 2 - b faces of area sqrt(3)/4 a^2.
     """
@@ -190,9 +189,9 @@ def lattice_spacing(area: float, perimeter: float, nodes: int) -> float:
 
 
 def guard_points(fixed: FloatArray) -> FloatArray:
-    """Far points around the domain, so that no side of it is a side of the convex hull.
+    """Far points around the domain, so that no side of the domain lies on the convex hull.
 
-    Qhull may cover collinear points of the hull with triangles of no area, or leave them out.
+    Qhull may cover collinear points of the hull with triangles of zero area, or omit them.
     """
     angle = 2 * math.pi * (np.arange(8) + 0.5) / 8
     return 20 * np.abs(fixed).max() * np.column_stack([np.cos(angle), np.sin(angle)])

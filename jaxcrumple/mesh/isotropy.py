@@ -1,7 +1,7 @@
-"""The elastic sheet that a triangulation stands for: its stiffness by direction (a patch test).
+"""Patch test: the stiffness of a triangulated sheet as a function of direction.
 
 Springs and hinges have the constants of a lattice of equilateral triangles, (10), (14) and (23). On another
-triangulation the same constants make a sheet that is softer or stiffer, and not equally so in all directions.
+triangulation the same constants give a softer or stiffer sheet that is also anisotropic.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from scipy.sparse.linalg import spsolve
 from jaxcrumple.mesh.files import MeshWarning
 from jaxcrumple.mesh.mesh import FloatArray, Mesh, edge_numbers, half_edge_pairs
 
-#: Deviation from the lattice, or among directions, beyond which a sheet is not what its material says.
+#: Deviation from the lattice, or between directions, above which a mesh does not represent its material.
 TOLERANCE = 0.05
 
-_PATCH = 1000  # nodes of a patch of a sheet with more than 3 times as many
+_PATCH = 1000  # nodes per patch, in sheets with more than 3 times as many
 _PATCHES = 5
-_FLAT = 1e-6  # distance from a plane, relative to the size, up to which a sheet is flat
+_FLAT = 1e-6  # largest distance of a flat sheet from its plane, relative to its size
 _ANGLES = np.pi * np.arange(36) / 36
-_YOUNG, _BENDING = 2 / np.sqrt(3), np.sqrt(3) / 2  # of the lattice with ks = kb = 1
+_YOUNG, _BENDING = 2 / np.sqrt(3), np.sqrt(3) / 2  # moduli of the lattice with ks = kb = 1
 
 
 @dataclass(frozen=True)
 class Stiffness:
     """Elasticity of a mesh relative to that of the lattice of equilateral triangles.
 
-    `young` and `bending` are means over all directions: of Young's modulus under tension, and of the
-    stiffness against bending into a cylinder. An anisotropy is the largest deviation of any direction from
-    the mean, over the mean. `poisson` is the mean in-plane Poisson ratio, 1/3 for the lattice.
+    `young` and `bending` are means over all directions of Young's modulus in tension and of the stiffness
+    in cylindrical bending. An anisotropy is the largest deviation of any direction from the mean, divided by
+    the mean. `poisson` is the mean in-plane Poisson ratio, 1/3 for the lattice.
     """
 
     young: float
@@ -51,22 +51,22 @@ class Stiffness:
 
     def __str__(self) -> str:
         return (
-            f"Young's modulus {self.young:.1%} of the one asked for (+-{self.young_anisotropy:.1%} with the "
-            f"direction), bending stiffness {self.bending:.1%} (+-{self.bending_anisotropy:.1%})"
+            f"Young's modulus {self.young:.1%} of the material's value (+-{self.young_anisotropy:.1%} with "
+            f"the direction), bending stiffness {self.bending:.1%} (+-{self.bending_anisotropy:.1%})"
         )
 
 
 def patch_test(mesh: Mesh) -> Stiffness:
-    """Stiffness of a mesh under a homogeneous strain and a homogeneous curvature.
+    """Measure the stiffness of a mesh under a homogeneous strain and a homogeneous curvature.
 
-    The nodes on the boundary, and for bending their neighbours, follow the homogeneous deformation; all
-    others relax. This gives an upper bound, as close to the stiffness of the sheet as the mesh is fine.
-    Without relaxation it would be some per cent higher on random meshes, whose nodes do not move affinely.
-    Springs on the boundary, which have one triangle, count half.
+    The boundary nodes, and for bending also their neighbours, follow the homogeneous deformation; all other
+    nodes relax. The result is an upper bound, which approaches the stiffness of the sheet on finer meshes.
+    Without relaxation it would be a few per cent higher on random meshes, whose nodes do not move affinely.
+    Boundary springs, which belong to one triangle, count half.
 
-    A sheet of more than 3000 nodes is tested in five patches, a curved one in patches that are projected onto
-    the planes that fit them best. A curved sheet has no common frame, so its anisotropies are means of those
-    of the patches.
+    The test uses five patches for a flat sheet of more than 3000 nodes and for every curved sheet. It
+    projects the patches of a curved sheet onto their best-fit planes. A curved sheet has no common frame, so
+    its anisotropies are the means of the anisotropies of its patches.
     """
     plane = flattened(mesh)
     if plane is not None:
@@ -81,7 +81,7 @@ def patch_test(mesh: Mesh) -> Stiffness:
 
 
 def warn_of_anisotropy(mesh: Mesh, path: str) -> None:
-    """Warn of a mesh file whose sheet would not have the stiffness that its material has."""
+    """Warn if the sheet of a mesh file would not have the stiffness of its material."""
     found = patch_test(mesh)
     if found.worst > TOLERANCE:
         cure = "set remesh = true" if flattened(mesh) is not None else "remesh it"
@@ -94,7 +94,7 @@ def warn_of_anisotropy(mesh: Mesh, path: str) -> None:
 
 
 def flattened(mesh: Mesh) -> FloatArray | None:
-    """Positions (n, 2) in the sheet's own plane, or None for a curved sheet."""
+    """Return positions (n, 2) in the plane of the sheet, or None for a curved sheet."""
     centred = mesh.vertices - mesh.vertices.mean(axis=0)
     axes = np.linalg.svd(centred, full_matrices=False)[2]
     size = np.linalg.norm(np.ptp(centred, axis=0))
@@ -102,11 +102,11 @@ def flattened(mesh: Mesh) -> FloatArray | None:
 
 
 def _patches(mesh: Mesh, size: int) -> list[NDArray]:
-    """Faces of `size` nodes around each of some nodes that are spread over the sheet."""
+    """Return the faces of patches of `size` nodes around centres that are spread over the sheet."""
     n = mesh.n_nodes
     graph = coo_array((np.ones(len(mesh.edges)), tuple(mesh.edges.T)), shape=(n, n)).tocsr()
     patches = []
-    # Nodes are numbered along a Hilbert curve, as a rule, so that equal steps spread them.
+    # Node numbers usually follow a Hilbert curve, so equal steps spread the centres.
     for centre in np.linspace(0, n - 1, _PATCHES + 2).astype(int)[1:-1]:
         near = breadth_first_order(graph, centre, directed=False, return_predecessors=False)[:size]
         patches.append(mesh.faces[np.isin(mesh.faces, near).all(axis=1)])
@@ -144,7 +144,7 @@ def _membrane(x: FloatArray, edges: NDArray, weight: FloatArray, free: NDArray) 
 
 
 def _plate(x: FloatArray, hinges: NDArray, inner: tuple[NDArray, NDArray], free: NDArray) -> FloatArray:
-    """Of the triangles of each hinge those count that are `inner`; others lie among fixed nodes."""
+    """Plate stiffness. Only the `inner` triangles of each hinge count; the others lie among fixed nodes."""
     if len(hinges) == 0:
         return np.full((3, 3), np.nan)
     if not inner[0].any() and not inner[1].any():
@@ -166,7 +166,7 @@ def _plate(x: FloatArray, hinges: NDArray, inner: tuple[NDArray, NDArray], free:
     height_of = np.column_stack([x**2, x[:, 0] * x[:, 1]]) / 2
     turn = _rows(hinges, angle, len(x))
     affine = turn @ height_of
-    # A triangle has three hinges, so each of them has a third of its area.
+    # A triangle has three hinges, so each hinge gets a third of its area.
     weight = share * np.sqrt(3) * squared / (2 * area)
     return _relaxed(turn[:, free], affine, weight) / (counted.sum() / 3)
 
@@ -177,7 +177,7 @@ def _rows(columns: NDArray, values: FloatArray, width: int) -> csc_array:
 
 
 def _relaxed(change: csc_array, affine: FloatArray, weight: FloatArray) -> FloatArray:
-    """Energy (3, 3) of affine elongations (m, 3) after displacements that `change` them have relaxed."""
+    """Energy (3, 3) of affine elongations (m, 3), minimised over displacements u that add `change` @ u."""
     weighted = weight[:, None] * affine
     energy = affine.T @ weighted
     if change.shape[1]:

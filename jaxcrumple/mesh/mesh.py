@@ -1,8 +1,8 @@
-"""Triangulated sheets: connectivity and rest metric, built once on the host with NumPy.
+"""Triangulated sheets: connectivity and rest metric, computed once on the host with NumPy.
 
-A `Mesh` holds what does not change while the sheet moves: nodes, triangles, springs (edges) and hinges
-(pairs of triangles over a shared edge), with the lengths, areas and weights of the rest shape. Equation
-numbers refer to Andrejevic & Rycroft, J. Comput. Phys. (2022) 111607.
+A `Mesh` stores what stays constant while the sheet moves: nodes, triangles, springs (edges) and hinges (pairs
+of triangles with a shared edge), with the lengths, areas and weights of the rest shape. Equation numbers
+refer to Andrejevic & Rycroft, J. Comput. Phys. (2022) 111607.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Mesh:
     hinges: IntArray  # (h, 4) nodes x0, x1, x2, x3 of each pair of triangles
     hinge_edges: IntArray  # (h,) row of the shared edge in `edges`
     hinge_faces: IntArray  # (h, 2) rows of the two triangles in `faces`
-    source_nodes: IntArray  # (n,) row of the input that became each node
+    source_nodes: IntArray  # (n,) row of each node in the input
     edge_length: FloatArray  # (e,) rest length s_ij of (11) [m]
     face_area: FloatArray  # (f,) [m^2]
     hinge_length: FloatArray  # (h,) |e0| [m]
@@ -60,16 +60,16 @@ class Mesh:
 
     @classmethod
     def from_arrays(cls, vertices: ArrayLike, faces: ArrayLike, *, reorder: bool = False) -> Mesh:
-        """Check and orient a triangulated surface. Its nodes keep their numbers where faces use them all.
+        """Check and orient a triangulated surface. The nodes keep their numbers if faces use all of them.
 
         **Arguments:**
 
-        - `vertices`: (m, 2) or (m, 3) rest positions [m]; two columns mean z = 0. Those that no face uses are
-          dropped.
-        - `faces`: (f, 3) integers. Where faces disagree in orientation the minority is turned.
-        - `reorder`: number the nodes along a Hilbert curve and sort the faces to match, so that neighbours on
-          the sheet are neighbours in memory, which is faster where the input has no such order. Positions in
-          the order of the input are then none of the mesh: `source_nodes` leads from one to the other.
+        - `vertices`: (m, 2) or (m, 3) rest positions [m]; two columns mean z = 0. Vertices that no face uses
+          are dropped.
+        - `faces`: (f, 3) integers. If the orientations of faces disagree, the minority is flipped.
+        - `reorder`: number the nodes along a Hilbert curve and sort the faces to match. Neighbours on the
+          sheet are then neighbours in memory, which is faster if the input has no such order. Arrays in the
+          order of the input then do not fit the mesh; `array[source_nodes]` has the order of the mesh.
 
         **Raises:** `MeshError` naming the offending nodes or faces of the input: wrong shape or type,
         non-finite position, index out of range, repeated vertex, duplicate face, zero area, edge with more
@@ -101,19 +101,18 @@ class Mesh:
     ) -> Mesh:
         """Read a surface of triangles, quadrilaterals or polygons from any file that trimesh or meshio reads.
 
-        Points that no face uses, line segments, colours, normals and texture coordinates are skipped.
-        Quadrilaterals are cut along the shorter diagonal. `source_nodes` counts the points of the file from
-        0.
+        It skips points that no face uses, line segments, colours, normals and texture coordinates. It cuts
+        quadrilaterals along the shorter diagonal. `source_nodes` counts the points of the file from 0.
 
         **Arguments:**
 
         - `reorder`: as in `from_arrays`, but on by default; False keeps the order of the file.
-        - `merge`: points at most so far apart become one: a distance [m], or a string such as "1 um".
-          By default the points of STL files, which have no shared ones, within 1e-6 of the size of the sheet.
-        - `unit`: of all lengths in the file, such as "mm"; metres by default.
+        - `merge`: merge points up to this distance apart, in m or a string such as "1 um". By default only
+          STL files, which have no shared points, are merged, within 1e-6 of the size of the sheet.
+        - `unit`: unit of all lengths in the file, such as "mm"; metres by default.
 
         **Raises:** `FileNotFoundError`; `MeshError` if the file cannot be read, holds no surface or volume
-        cells, or fails the checks of `from_arrays`, whose numbers then count from 0 in the file.
+        cells, or fails the checks of `from_arrays`, whose numbers then refer to the file, from 0.
 
         **Warns:** `MeshWarning` for a size that suggests another unit.
         """
@@ -128,11 +127,11 @@ class Mesh:
             object.__setattr__(self, name, _read_only(array))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Arrays are writeable again after pickling and copying, unless the mesh is made anew.
+        # Pickling and copying make arrays writeable; the constructor makes them read-only again.
         return type(self), tuple(getattr(self, name.name) for name in fields(self))
 
     def save(self, path: str | Path) -> None:
-        """Write nodes and triangles in the format that the ending of `path`, one of `FILE_FORMATS`, names.
+        """Write nodes and triangles; the ending of `path`, one of `FILE_FORMATS`, selects the format.
 
         `Mesh.from_file(path, reorder=False)` reads the same mesh back.
 
@@ -141,7 +140,7 @@ class Mesh:
         write_triangles(path, self.vertices, self.faces)
 
     def with_rest_shape(self, vertices: ArrayLike) -> Mesh:
-        """The same connectivity with the rest metric of other positions, (n, 3) or (n, 2) [m].
+        """Return the same connectivity with the rest metric of other positions, (n, 3) or (n, 2) [m].
 
         **Raises:** `MeshError` for a wrong shape, a non-finite position or a triangle without area.
         """
@@ -166,7 +165,7 @@ class Mesh:
 
     @property
     def boundary_edges(self) -> IntArray:
-        """Rows of `edges` with one face only, ascending; empty for a closed surface."""
+        """Rows of `edges` that belong to one face only, ascending; empty for a closed surface."""
         return np.setdiff1d(np.arange(len(self.edges), dtype=np.int32), self.hinge_edges)
 
     @property
@@ -210,7 +209,7 @@ def _doubled_areas(x: FloatArray, faces: NDArray) -> FloatArray:
 
 
 def _read_only(array: NDArray) -> NDArray:
-    """The array itself if nothing can write to it, else a read-only copy."""
+    """Return the array itself if nothing can write to it, else a read-only copy."""
     base: Any = array
     safe = array.flags.c_contiguous
     while isinstance(base, np.ndarray):
@@ -293,7 +292,7 @@ def edge_numbers(faces: NDArray) -> tuple[NDArray, NDArray]:
 
 
 def half_edge_pairs(number: NDArray) -> tuple[NDArray, NDArray]:
-    """The two half-edges of every edge that has two."""
+    """Return the two half-edges of every edge that has two."""
     order = np.argsort(number, kind="stable")
     first = np.flatnonzero(number[order[1:]] == number[order[:-1]])
     return order[first], order[first + 1]
@@ -304,7 +303,7 @@ def _components(size: int, a: NDArray, b: NDArray) -> tuple[int, NDArray]:
 
 
 def _checked_topology(faces: NDArray) -> NDArray:
-    """`faces`, if they form one connected manifold."""
+    """Return `faces` if they form one connected manifold."""
     _, same, count = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True)
     if count.max() > 1:
         twins = np.flatnonzero(same.ravel() == np.argmax(count))[:2]
@@ -330,7 +329,7 @@ def _checked_topology(faces: NDArray) -> NDArray:
 
 
 def _check_fans(faces: NDArray, number: NDArray) -> None:
-    """The corners at each node must hang together over shared edges."""
+    """Require that shared edges connect all corners at each node."""
     a, b = half_edge_pairs(number)
     node, following = faces.ravel(), np.arange(faces.size).reshape(-1, 3)[:, [1, 2, 0]].ravel()
     same = node[a] == node[b]
@@ -346,10 +345,10 @@ def _check_fans(faces: NDArray, number: NDArray) -> None:
 
 
 def _oriented(faces: NDArray) -> NDArray:
-    """Turn faces until neighbours agree.
+    """Flip faces until neighbours agree in orientation.
 
-    Each face stands for two nodes of a graph, as given (i) and turned (i + f); neighbours are joined in the
-    pairs that agree. The graph splits into the two orientations unless the surface has only one side.
+    Each face stands for two nodes of a graph: as given (i) and flipped (i + f). The graph connects
+    neighbours that agree. It splits into the two orientations unless the surface has only one side.
     """
     a, b = half_edge_pairs(edge_numbers(faces)[1])
     clash = faces.ravel()[a] == faces.ravel()[b]
@@ -382,9 +381,10 @@ def _connectivity(faces: IntArray) -> dict[str, NDArray]:
 
 
 def _hilbert_order(x: FloatArray) -> NDArray:
-    """Order of the nodes along a Hilbert curve through the plane that fits them best.
+    """Return the order of the nodes along a Hilbert curve in their best-fit plane.
 
-    The first axis there is a projected coordinate axis: the principal axes of a square depend on rounding.
+    The first axis in the plane is a projected coordinate axis: the principal axes of a square depend on
+    rounding.
     """
     centred = x - x.mean(axis=0)
     normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
@@ -397,7 +397,7 @@ def _hilbert_order(x: FloatArray) -> NDArray:
 
 
 def _hilbert_index(cells: NDArray[np.int64], bits: int) -> NDArray[np.int64]:
-    """Place of integer cells (n, 2) in [0, 2^bits) along the Hilbert curve, one quadrant choice per bit."""
+    """Index of integer cells (n, 2) in [0, 2^bits) along the Hilbert curve, one quadrant per bit."""
     x, y = cells.T
     index = np.zeros(len(cells), dtype=np.int64)
     for bit in reversed(range(bits)):

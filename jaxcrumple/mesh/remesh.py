@@ -1,4 +1,4 @@
-"""A new random mesh within the outline of a flat sheet."""
+"""Remesh a flat sheet with random nodes inside its outline."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ from jaxcrumple.mesh.generate import centroids, guard_points, lattice_spacing, w
 from jaxcrumple.mesh.isotropy import flattened
 from jaxcrumple.mesh.mesh import FloatArray, Mesh, MeshError
 
-_CORNER = np.radians(20)  # smallest turn of an outline that is a corner, on which a node stays
-_INSET = np.sqrt(3) / 4  # random nodes start at least so far from the boundary, as in `meshgen`
+_CORNER = np.radians(20)  # smallest turn of an outline that counts as a corner, which gets a node
+_INSET = np.sqrt(3) / 4  # smallest start distance of random nodes from the boundary, as in `generate`
 _TRIES = 1000
 
 
 def remeshed(
     mesh: Mesh, nodes: SupportsIndex, *, seed: SupportsIndex = 0, sweeps: SupportsIndex = 100
 ) -> Mesh:
-    """A random mesh of `nodes` nodes within the outline of a flat sheet, regularised by Lloyd's algorithm.
+    """Make a random mesh of `nodes` nodes inside the outline of a flat sheet, by Lloyd's algorithm.
 
-    Nodes lie on the outline and on the edges of holes, evenly spaced between corners of more than 20 degrees,
-    which are kept. `source_nodes` counts the new nodes: none of the old ones is left.
+    Boundary nodes lie on the outline and on the edges of holes, evenly spaced between corners. Every turn of
+    more than 20 degrees is a corner and gets a node. `source_nodes` counts the new nodes; the mesh keeps none
+    of the old ones.
 
     **Raises:** `MeshError` for a curved sheet, or too few nodes for the outline.
     """
@@ -38,7 +39,7 @@ def remeshed(
     spacing = lattice_spacing(outline.area, outline.perimeter, nodes + outline.holes)
     fixed = _Outline([_resampled(loop, spacing) for loop in outline.loops])
     if len(fixed.points) >= nodes:
-        raise MeshError(f"nodes = {nodes} all lie on the outline of so slender a sheet; give more")
+        raise MeshError(f"nodes = {nodes} all lie on the outline of this slender sheet; give more")
     free = fixed.sample(np.random.default_rng(seed), nodes - len(fixed.points), spacing)
     guard = guard_points(fixed.points)
     for _ in range(sweeps):
@@ -72,7 +73,7 @@ def boundary_loops(mesh: Mesh) -> list[NDArray[np.int64]]:
 
 
 def _resampled(loop: FloatArray, spacing: float) -> FloatArray:
-    """Nodes (b, 2) about `spacing` apart along a closed polygon, on all of its corners."""
+    """Return nodes (b, 2) about `spacing` apart along a closed polygon, with a node at each corner."""
     after, before = np.roll(loop, -1, axis=0) - loop, loop - np.roll(loop, 1, axis=0)
     turn = np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], (before * after).sum(axis=1))
     corners = np.flatnonzero(np.abs(turn) > _CORNER)
@@ -102,7 +103,7 @@ class _Outline:
             for a, b in zip(loops, following, strict=True)
         ]
         self.area = float(2 * max(areas) - sum(areas))
-        # Imported here: it takes most of a second, which no one who does not remesh need wait.
+        # Imported here because the import takes most of a second and only remeshing needs it.
         from matplotlib.path import Path
 
         self.paths = [Path(loop) for loop in loops]
@@ -123,10 +124,10 @@ class _Outline:
             found = np.vstack([found, points[tree.query(points)[0] > reach]])
             if len(found) >= count:
                 return found[:count]
-        raise MeshError("the sheet is too slender for so few nodes; give more")
+        raise MeshError("the sheet is too slender for this number of nodes; give more")
 
     def mirror(self, points: FloatArray, depth: float) -> FloatArray:
-        """Images outside of the points within `depth` of a side that they lie beside."""
+        """Return mirror images, outside the region, of points within `depth` of a side and beside it."""
         count = min(3, len(self.points))
         near = cKDTree((self.points + self.ends) / 2).query(points, count)[1].reshape(len(points), count)
         images = []
@@ -141,7 +142,7 @@ class _Outline:
 
 
 def _placed(mesh: Mesh, plane: FloatArray, points: FloatArray, triangles: NDArray) -> Mesh:
-    """A mesh of points (k, 2) of the plane of a sheet, on the same side of it up."""
+    """Make a mesh of points (k, 2) in the plane of a sheet, with the same orientation as the sheet."""
     to_space = np.linalg.lstsq(np.column_stack([plane, np.ones(len(plane))]), mesh.vertices, rcond=None)[0]
     a, b, c = (plane[mesh.faces[:, k]] for k in range(3))
     u, v = b - a, c - a

@@ -14,15 +14,15 @@ from jaxcrumple.geometry.hinge import (
 )
 from jaxcrumple.model.elements import scatter
 
-# The smooth stop that keeps faces from passing through each other acts beyond this angle.
+# Onset in rad of the fold stop, which keeps faces from passing through each other.
 FOLD_STOP = jnp.pi * 170.0 / 180.0
 
 
 def fold_stop(theta: Array) -> Array:
     """Barrier $u^3/(1-u)$ with $u = (|\\theta| - \\theta_s)/(\\pi - \\theta_s)$, $\\theta_s$ = 170 degrees.
 
-    Zero below the onset, twice continuously differentiable there, and infinite at 180 degrees, where
-    $c$ loses its force and the sign of $\\theta$ would flip.
+    It is zero below the onset, where it is twice continuously differentiable. It is infinite at 180 degrees,
+    where the torque of the elastic energy vanishes and the sign of $\\theta$ would flip.
     """
     reach = jnp.pi - FOLD_STOP
     u = jnp.maximum(jnp.abs(theta) - FOLD_STOP, 0.0) / reach
@@ -30,7 +30,7 @@ def fold_stop(theta: Array) -> Array:
 
 
 def hinge_energy(theta: Array, rest_curvature: Array, stiffness: Array) -> Array:
-    """Energy of a hinge in J: $\\frac{K}{2} (c - p)^2$ (eq. 31) and the fold stop.
+    """Energy of a hinge in J: $\\frac{K}{2} (c - p)^2$ (eq. 31) plus the fold stop.
 
     `stiffness` is $K = k_b \\sqrt3 |e_0|^2 / (2 \\bar A)$, `rest_curvature` is $p$.
     """
@@ -39,7 +39,7 @@ def hinge_energy(theta: Array, rest_curvature: Array, stiffness: Array) -> Array
 
 
 def stop_derivatives(theta: Array) -> tuple[Array, Array]:
-    """First and second derivative of `fold_stop` by the angle."""
+    """First and second derivative of `fold_stop` with respect to the angle."""
     reach = jnp.pi - FOLD_STOP
     u = jnp.maximum(jnp.abs(theta) - FOLD_STOP, 0.0) / reach
     w = 1.0 / (1.0 - u)
@@ -83,15 +83,15 @@ class Bending(eqx.Module):
     def blocks(self, x: Array, p: Array, softening: Array | None) -> Array:
         """Element Hessians (10, 3, 3, h) in N/m, blocks ordered as `upper_pairs(4)`.
 
-        `softening` (h,) is dp/dc of the implicit plastic update (PHYSICS: $\\beta h f'/(1 + \\beta h f')$),
-        which lowers the stiffness along the gradient of c; None for an elastic sheet.
+        `softening` (h,) is dp/dc of the implicit plastic update (PHYSICS: $\\beta h f'/(1 + \\beta h f')$).
+        It lowers the stiffness along the gradient of c. Give None for an elastic sheet.
         """
         hinges = self.hinges(x)
         first, second = self._derivatives(hinges.theta, p, 0.0 if softening is None else softening)
         return hinge_hessian(hinges, first, second)
 
     def _derivatives(self, theta: Array, p: Array, softening: Array | float) -> tuple[Array, Array]:
-        """First and second derivative of the energies by the angle, p following c with slope `softening`."""
+        """First and second derivative of the energies with respect to the angle, with dp/dc = `softening`."""
         stop1, stop2 = stop_derivatives(theta)
         c, slope = curvature(theta), jnp.cos(0.5 * theta)
         first = (c - p) * slope + stop1

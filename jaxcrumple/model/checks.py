@@ -1,4 +1,4 @@
-"""Refusals of walls, supports, energies and flow rules that do not fit a sheet."""
+"""Checks that walls, supports, energies and flow rules fit a sheet."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -23,9 +23,9 @@ def check_surroundings(
     extra: Sequence[ElementEnergy],
     plasticity: AbstractFlowRule | None,
 ) -> None:
-    """Refuse what does not fit a sheet of so many `nodes` and `hinges`.
+    """Refuse walls, loads, supports and flow rules that do not fit the sheet.
 
-    Numbers that JAX traces are not looked at.
+    `nodes` and `hinges` are its numbers of nodes and hinges. Traced numbers are not checked.
 
     **Raises:** ValueError that names the wall, the support, the energy or the rule, and the cure.
     """
@@ -48,7 +48,7 @@ def check_surroundings(
 def _check_no_nan(name: str, part: Any) -> None:
     numbers = jax.tree.leaves(eqx.filter(part, eqx.is_inexact_array))
     if any(is_known(array) and np.any(np.isnan(array)) for array in numbers):
-        raise ValueError(f"{name} has NaN among its numbers.")
+        raise ValueError(f"{name} has NaN among its numbers; replace it.")
 
 
 def _check_wall(name: str, wall: Wall | AbstractShape, nodes: int) -> None:
@@ -114,8 +114,8 @@ def _check_flow_rule(rule: Any, hinges: int) -> None:
     found = _shape("the rate of plasticity", rule.rate, _numbers(hinges), _numbers(hinges))
     if found != (hinges,):
         raise ValueError(
-            f"the rate of plasticity has shape {found}; it must be ({hinges},), a number for each hinge: its "
-            "parameters are single numbers or arrays by hinge."
+            f"the rate of plasticity has shape {found}; it must be ({hinges},), a number for each hinge: "
+            "give its parameters as single numbers or as one value per hinge."
         )
 
 
@@ -124,7 +124,7 @@ def _numbers(*shape: int) -> jax.ShapeDtypeStruct:
 
 
 def _shape(what: str, function: Callable, *arguments: Any) -> tuple[int, ...]:
-    """Shape of what a `function` of the user's own returns; nothing is computed."""
+    """Return the shape of the output of a user-defined `function` without computing it."""
     try:
         return np.shape(eqx.filter_eval_shape(function, *arguments))
     except (TypeError, ValueError) as error:

@@ -1,9 +1,9 @@
 """Dissipation: isotropic drag (24) and dashpots along the edges (25).
 
-In an implicit step rates are differences over the step history. The central dashpot takes the rate
+In an implicit step, rates are differences over the step history. The central dashpot computes the rate
 of its *length* from that history, $\\dot\\ell = (\\ell(x) + \\sum_j \\alpha_j \\ell(x_j))/(\\beta h)$. A
-rigid rotation then produces no force at any step size, and the tangent is symmetric; neither holds for
-$\\hat r \\cdot v$ with $v$ from the same formula (both agree to the order of the method).
+rigid rotation then produces no force at any step size, and the tangent is symmetric. Neither holds for
+$\\hat r \\cdot v$ with $v$ from the same formula. The two rates agree to the order of the method.
 """
 
 import abc
@@ -30,7 +30,7 @@ class Drag(eqx.Module):
 
 
 class AbstractDashpot(eqx.Module):
-    """Internal damping. `memory` is whatever an implicit step must know of the past."""
+    """Internal damping. `memory` returns what an implicit step needs from the step history."""
 
     nodes: eqx.AbstractVar[Array]
     coefficient: eqx.AbstractVar[Array]
@@ -41,7 +41,7 @@ class AbstractDashpot(eqx.Module):
 
     @abc.abstractmethod
     def memory(self, past: Array, alpha: Array) -> Any:
-        """Digest of the history: `past` (s, n, 3) positions with coefficients `alpha` (s,)."""
+        """Summarise the step history: positions `past` (s, n, 3) in m with coefficients `alpha` (s,)."""
 
     @abc.abstractmethod
     def step_force(self, x: Array, v: Array, memory: Any, beta_h: Array) -> Array:
@@ -110,7 +110,7 @@ class PaperDashpot(AbstractDashpot):
         return scatter(self.nodes, (pull, scale(-1.0, pull)), x.shape[0])
 
     def memory(self, past: Array, alpha: Array) -> None:
-        """This form needs no history: it uses the velocity itself."""
+        """Return None: this form uses the velocity itself and needs no history."""
         return None
 
     def step_force(self, x: Array, v: Array, memory: None, beta_h: Array) -> Array:

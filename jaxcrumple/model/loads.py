@@ -1,4 +1,4 @@
-"""Loads and supports: gravity, prescribed motion, and energies of the user's own."""
+"""Loads and supports: gravity, prescribed motion, and user-defined energies."""
 
 import abc
 from collections.abc import Callable
@@ -14,14 +14,14 @@ from jax.typing import ArrayLike
 from jaxcrumple._jax.tree import as_float, as_numbers, is_known, require_finite, require_shape
 from jaxcrumple.model.elements import upper_pairs
 
-# Share of a time of release by which the end of a step may miss it.
+# Relative rounding error allowed between the end of a step and a release time.
 ROUNDING = 1e-12
-# Distance of a start from its supports that counts as rounding, as a share of the sheet's size.
+# Rounding error allowed between a start and its supports, relative to the size of the sheet.
 START_ROUNDING = 1e-9
 
 
 class Gravity(eqx.Module):
-    """Uniform acceleration `g` (3,) in m/s2 acting on the nodal masses `mass` (n,) in kg."""
+    """Uniform acceleration `g` (3,) in m/s2 on the nodal masses `mass` (n,) in kg."""
 
     g: Array = eqx.field(converter=as_float)
     mass: Array = eqx.field(converter=as_float)
@@ -76,7 +76,7 @@ def _as_mask(value: ArrayLike) -> Array:
         )
     if mask.ndim != 2 or mask.shape[1] != 3:
         raise ValueError(
-            f"the mask of Prescribed has shape {mask.shape}; it must be (n, 3): for whole nodes repeat it, "
+            f"the mask of Prescribed has shape {mask.shape}; it must be (n, 3): for whole nodes use "
             "numpy.repeat(mask[:, None], 3, axis=1)."
         )
     with jax.transfer_guard("allow"):
@@ -84,13 +84,13 @@ def _as_mask(value: ArrayLike) -> Array:
 
 
 class Prescribed(eqx.Module):
-    """Node components that follow a given motion (fixed nodes: zero velocity), for good or for some time.
+    """Node components with prescribed motion (fixed nodes: zero velocity), always or until a release time.
 
-    **Arguments:** `mask` (n, 3) bool, True where prescribed; `motion` an `AbstractMotion`; `until`: time in
-    s of the release, after which all are free, or (n, 1) times of each node. Make them frame times, so that a
+    **Arguments:** `mask` (n, 3) bool, True where prescribed; `motion`: an `AbstractMotion`; `until`: release
+    time in s of all nodes, or (n, 1) of each node, after which they are free. Choose frame times, so that a
     step ends there.
 
-    A start must lie on the motion (`position(x, t)` puts it there). Velocities follow the motion.
+    A start must lie on the motion: `position(x, t)` moves it there. Velocities follow the motion.
     """
 
     mask: Array = eqx.field(converter=_as_mask)
@@ -102,7 +102,7 @@ class Prescribed(eqx.Module):
         if not callable(self.motion):
             raise ValueError(
                 f"the motion of Prescribed has type {type(self.motion).__name__}; it must be a "
-                "LinearMotion(position, velocity) or an AbstractMotion of your own."
+                "LinearMotion(position, velocity) or a subclass of AbstractMotion."
             )
         require_shape("until of Prescribed", self.until, (), (nodes, 1))
         if is_known(self.until) and np.any(np.isnan(self.until)):
@@ -115,19 +115,19 @@ class Prescribed(eqx.Module):
             )
 
     def held(self, t: Array) -> Array:
-        """Components (n, 3) that are prescribed at time `t`; rounding does not release them."""
+        """Components (n, 3) that are prescribed at time `t`, with a tolerance for rounding."""
         return self.mask & (t <= (1.0 + ROUNDING) * self.until)
 
     def position(self, x: Array, t: Array) -> Array:
-        """`x` (n, 3) with the prescribed components put in place."""
+        """`x` (n, 3) with the positions of the prescribed components inserted."""
         return jnp.where(self.held(t), self.motion(t), x)
 
     def velocity(self, v: Array, t: Array) -> Array:
-        """`v` (n, 3) with the prescribed components' velocities."""
+        """`v` (n, 3) with the velocities of the prescribed components inserted."""
         return jnp.where(self.held(t), _derivative(self.motion, t), v)
 
     def acceleration(self, a: Array, t: Array) -> Array:
-        """`a` (n, 3) with the prescribed components' accelerations."""
+        """`a` (n, 3) with the accelerations of the prescribed components inserted."""
         return jnp.where(self.held(t), _derivative(lambda s: _derivative(self.motion, s), t), a)
 
     def free(self, residual: Array, t: Array) -> Array:
@@ -138,7 +138,7 @@ class Prescribed(eqx.Module):
 def check_motion(prescribed: Prescribed, t: Any) -> None:
     """Refuse a motion that is not finite at time `t` in s where it holds a node.
 
-    What JAX traces is not looked at.
+    Traced values are not checked.
 
     **Raises:** ValueError that names the node.
     """
@@ -156,9 +156,9 @@ def check_motion(prescribed: Prescribed, t: Any) -> None:
 
 
 def check_supported(prescribed: Prescribed, x: ArrayLike, t: Any, size: Any) -> None:
-    """Refuse positions `x` (n, 3) in m that are not where the motion holds them at time `t` in s.
+    """Refuse positions `x` (n, 3) in m that differ from the prescribed motion at time `t` in s.
 
-    To rounding of the sheet's `size` in m; what JAX traces is not looked at.
+    The tolerance is `START_ROUNDING` times the sheet's `size` in m. Traced values are not checked.
 
     **Raises:** ValueError that names the farthest node, its distance and the cure.
     """
@@ -177,7 +177,7 @@ def check_supported(prescribed: Prescribed, x: ArrayLike, t: Any, size: Any) -> 
 
 
 def _held_motion(prescribed: Prescribed, t: ArrayLike) -> tuple[Array, Array, Array]:
-    """Components that are held at time `t`, and the motion's positions and velocities (n, 3)."""
+    """Return the components held at time `t`, and the motion's positions and velocities (n, 3)."""
     now = as_float(t)
     return prescribed.held(now), prescribed.motion(now), _derivative(prescribed.motion, now)
 
@@ -197,13 +197,13 @@ def _as_elements(value: ArrayLike) -> Array:
     twice = np.flatnonzero(np.any(np.diff(sorted_rows, axis=1) == 0, axis=1))
     if twice.size:
         raise ValueError(
-            f"element {twice[0]} of ElementEnergy has a node twice: {np.asarray(nodes)[twice[0]]}."
+            f"element {twice[0]} of ElementEnergy has a node twice: {np.asarray(nodes)[twice[0]]}; drop one."
         )
     return nodes
 
 
 class ElementEnergy(eqx.Module):
-    """An energy of your own, element by element; forces and tangent follow by autodiff.
+    """A user-defined energy, as a sum over elements; autodiff gives forces and tangent.
 
     **Arguments:**
 
@@ -249,14 +249,14 @@ class ElementEnergy(eqx.Module):
 
 
 def dead_load(nodes: ArrayLike, force: ArrayLike, ramp: float) -> ElementEnergy:
-    """Forces of fixed direction that grow linearly from zero at t = 0 and stay from t = `ramp` s on.
+    """Make forces of fixed direction that grow linearly from zero at t = 0 and are constant after `ramp` s.
 
     **Arguments:** `nodes` (m,) node numbers; `force` (m, 3) their final forces in N; `ramp` > 0.
 
     **Returns:** the load as an energy, $-\\sum f(t) \\cdot x$, zero for nodes at the origin.
 
-    **Raises:** ValueError for node numbers that are not whole, forces of another shape or not finite, or a
-    ramp that is not positive.
+    **Raises:** ValueError if node numbers are not integers, forces have another shape or are not finite, or
+    the ramp is not positive.
     """
     numbers, final = as_numbers("nodes of a dead load", nodes), as_float(force)
     require_shape("nodes of a dead load", numbers, (numbers.size,))

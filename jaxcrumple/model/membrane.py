@@ -32,7 +32,7 @@ def edge_blocks(r: Vec, axial: Array, tension_per_length: Array) -> Array:
     def block(sign: Array) -> Array:
         return sign * ((axial - tension_per_length) * dyad(direction, direction) + across)
 
-    # A loop for the reason given in `hinge_hessian`.
+    # A loop, for the same reason as in `hinge_hessian`.
     return jax.lax.map(block, jnp.array([1.0, -1.0, 1.0]))
 
 
@@ -77,8 +77,8 @@ class Membrane(eqx.Module):
     def blocks(self, x: Array, taut: Array | None = None) -> Array:
         """Element Hessians (3, 3, 3, e) in N/m (A.3).
 
-        Where `taut`, a bool, is true, compressed edges have no transverse stiffness: each block is then
-        positive semidefinite.
+        If `taut` (bool) is true, compressed edges have no transverse stiffness, and each block is positive
+        semidefinite.
         """
         r, tension_per_length = self._edges(x)
         if taut is not None:
@@ -86,8 +86,11 @@ class Membrane(eqx.Module):
         return edge_blocks(r, self.stiffness, tension_per_length)
 
     def turning_force(self, x: Array, y: Array) -> Array:
-        """Nodal forces (n, 3) in N, along the edges at `x`, of the part of their lengthening on the straight
-        way to `y` that is not linear in it: rotated edges grow longer by second order."""
+        """Nodal forces (n, 3) in N from the nonlinear part of the edge elongations from `x` to `y`.
+
+        The forces act along the edges at `x`. Edges that rotate on the straight path to `y` lengthen to
+        second order in the displacement.
+        """
         r, _ = self._edges(x)
         u = sub(*gather(y - x, self.nodes))
         old = length(r)

@@ -10,15 +10,15 @@ from jax import Array
 
 from jaxcrumple._jax.tree import as_float, is_known, require_numbers
 
-# Every iteration halves the bracket or the step, so this many always suffice in float64.
+# Every iteration halves the bracket or the step, so this many iterations always suffice in float64.
 MAX_ITERATIONS = 120
 
 
 class AbstractFlowRule(eqx.Module):
     """A yield law: dp/dt as a function of the curvature c and the rest curvature p.
 
-    `rate` must have the sign of c - p (or vanish) and not decrease with c - p; it may depend on
-    per-hinge parameters held as array fields. That is all the solvers ask of a law of your own.
+    `rate` must have the sign of c - p (or vanish) and must not decrease with c - p. It may depend on
+    per-hinge parameters stored as array fields. The solvers require nothing else of a user-defined law.
     """
 
     @abc.abstractmethod
@@ -30,7 +30,7 @@ class SmoothstepFlow(AbstractFlowRule):
     """The paper's law with an explicit time scale.
 
     $\\dot p = \\mathrm{sign}(c-p)\\, S((|c-p| - c_0)/(2 - c_0)) / (T (1 + \\gamma))$ with the smoothstep S.
-    The paper has no T (its rate has no unit); gamma and T act only as $T(1+\\gamma)$.
+    The paper has no T (its rate has no unit). Only the product $T(1+\\gamma)$ enters.
 
     **Arguments:** `yield_curvature` (h,) dimensionless $c_0 < 2$; `time` T in s; `gamma` >= 0.
     """
@@ -63,11 +63,11 @@ def smoothstep(u: Array) -> Array:
 
 
 def implicit_update(rule: AbstractFlowRule, c: Array, memory: Array, beta_h: Array) -> tuple[Array, Array]:
-    """Rest curvature of an implicit step and its slope dp/dc.
+    """Compute the rest curvature of an implicit step and its slope dp/dc.
 
     Solves $p - p_* - \\beta h\\, \\dot p(c, p) = 0$ hinge by hinge (eq. 48), with `memory` $= -p_* =
-    \\sum_j \\alpha_j p_j$. The left side grows with p and the root lies between $p_*$ and c, so Newton
-    safeguarded by bisection always succeeds.
+    \\sum_j \\alpha_j p_j$. The left side increases with p, and the root lies between $p_*$ and c. So Newton's
+    method with bisection as a safeguard always converges.
 
     **Returns:** `p` (h,) and `dp/dc` (h,) in [0, 1).
     """
@@ -84,21 +84,21 @@ def implicit_update(rule: AbstractFlowRule, c: Array, memory: Array, beta_h: Arr
     frozen_c = jax.lax.stop_gradient(c)
     root = jax.lax.stop_gradient(_bracketed_root(lambda p: slopes(p, frozen_c)[:2], start, frozen_c))
     value, by_p, by_c = slopes(root, c)
-    # One last Newton step costs nothing and carries the derivatives of the root.
+    # One last Newton step costs nothing and gives the root its derivatives.
     return root - value / by_p, by_c / by_p
 
 
 def _bracketed_root(function, start: Array, end: Array) -> Array:
-    """Root of an increasing function between `start` and `end`, elementwise."""
+    """Find the root of an increasing function between `start` and `end`, elementwise."""
 
     def body(carry):
         p, low, high, step, count = carry
         value, slope = function(p)
         low, high = jnp.where(value < 0, p, low), jnp.where(value > 0, p, high)
         newton = p - value / slope
-        # The law is flat below yield, where Newton would jump from one end of the bracket to the
-        # other and back: an accepted Newton step must stay inside and be half the last one at most.
-        # The ends belong to it: a root that is rounding away from one must not be bisected for.
+        # The law is flat below yield, where Newton would jump between the ends of the bracket. So accept a
+        # Newton step only if it stays in the bracket and is at most half the last step. The bracket
+        # includes its ends: bisection is slow towards a root within rounding of an end.
         good = (newton >= low) & (newton <= high) & (jnp.abs(newton - p) <= 0.5 * jnp.abs(step))
         new = jnp.where(good, newton, 0.5 * (low + high))
         new = jnp.where(value == 0, p, new)

@@ -1,7 +1,7 @@
 """Confinement by smooth rigid walls that may move.
 
-A wall is a shape, which measures the signed gap d between a point and itself, and one law: with
-$s = \\langle 1 - d/\\sigma\\rangle$, $U = k_w \\sigma^2 s^3 / (3 (1 - s))$. Its force along the inward normal
+A wall consists of a shape, which gives the signed gap d of a point, and one law: with
+$s = \\langle 1 - d/\\sigma\\rangle$, $U = k_w \\sigma^2 s^3 / (3 (1 - s))$. The force along the inward normal
 starts smoothly at $d = \\sigma$, as $k_w \\sigma s^2$, and grows without bound towards the wall.
 """
 
@@ -18,21 +18,23 @@ from jax.typing import ArrayLike
 from jaxcrumple._jax.tree import as_float, is_known, require_numbers, require_shape
 from jaxcrumple.geometry.hinge import dot
 
-# Nearness s from which the law goes on as its Taylor polynomial of second order: so Newton's iterates may lie
-# behind the wall and come back. There a node is pushed with 832 k_w sigma; steps that end behind are
-# rejected.
+# Nearness s above which the second-order Taylor polynomial continues the law. Newton iterates may then lie
+# behind the wall and return. The force at this nearness is 832 k_w sigma. The integrator rejects steps that
+# end behind a wall.
 NEAREST = 0.98
 NEAREST_SLOPE = NEAREST**2 * (3.0 - 2.0 * NEAREST) / (3.0 * (1.0 - NEAREST) ** 2)
 NEAREST_CURVATURE = 2.0 * (1.0 / (1.0 - NEAREST) ** 3 - 1.0) / 3.0
-# Guards the distance to a centre or an axis, m^2: far below any length that matters here.
+# Keeps the distance to a centre or an axis differentiable, m^2; far below any relevant squared length.
 TINY = 1e-30
-# How far from 1 the length of a unit vector may be.
+# Tolerance on the length of a unit vector.
 UNIT_ROUNDING = 1e-6
 
 
 class Ramp(eqx.Module):
-    """A number that changes linearly, `start` + `rate` * t, `until` a time in s from which it is held. Any
-    callable module of t may replace it."""
+    """A linear function of time, `start` + `rate` * t, constant after the time `until` in s.
+
+    Any callable module of t may replace it.
+    """
 
     start: Array = eqx.field(converter=as_float)
     rate: Array = eqx.field(converter=as_float)
@@ -48,8 +50,10 @@ class Ramp(eqx.Module):
 
 
 class Corners(eqx.Module):
-    """A number that goes straight from one of `values` (m,) to the next at `times` (m,) in s, and stays
-    at the first and at the last."""
+    """A piecewise linear function of time with `values` (m,) at `times` (m,) in s.
+
+    It is constant before the first and after the last time.
+    """
 
     times: Array = eqx.field(converter=as_float)
     values: Array = eqx.field(converter=as_float)
@@ -67,7 +71,7 @@ class Corners(eqx.Module):
 
 
 def of_time(value: ArrayLike | Callable[[Array], Array]) -> Callable[[Array], Array]:
-    """A number that never changes as a function of time."""
+    """Make a constant number a function of time; return a callable unchanged."""
     return value if callable(value) else Ramp(as_float(value), as_float(0.0))
 
 
@@ -80,7 +84,7 @@ class AbstractShape(eqx.Module):
 
 
 def _check_vectors(shape: AbstractShape, *points: str, unit: str | None = None) -> None:
-    """Refuse fields that are not vectors (3,), or not of length 1."""
+    """Refuse fields that are not vectors (3,), and a field `unit` whose length is not 1."""
     names = points if unit is None else (*points, unit)
     for name in names:
         require_shape(f"{name} of {type(shape).__name__}", getattr(shape, name), (3,))
@@ -149,8 +153,7 @@ class Plane(AbstractShape):
 class Cone(AbstractShape):
     """The inside of a cone of half angle `half_angle` (rad), opening from its tip along `axis`.
 
-    `height`, a number or a callable of time, is the position s of the tip on the line `center` + s * `axis`
-    in m.
+    The tip is at `center` + `height` * `axis`; `height` in m is a number or a callable of time.
     """
 
     center: Array = eqx.field(converter=as_float)
@@ -177,7 +180,7 @@ class Cone(AbstractShape):
 
 
 class Ball(AbstractShape):
-    """The outside of a ball of `radius` in m, whose centre is at `center` + `height` * `axis`.
+    """The outside of a ball of `radius` in m with its centre at `center` + `height` * `axis`.
 
     `height` in m is a number or a callable of time, `axis` a unit vector (3,).
     """
@@ -198,11 +201,11 @@ class Ball(AbstractShape):
 
 
 class Opening(AbstractShape):
-    """A plate with a round hole, whose edge is round as well.
+    """A plate with a round hole whose rim is rounded.
 
-    The plate is the plane through `center` (3,) normal to the unit vector `axis` (3,), as thick as twice the
-    radius `edge` in m to which the rim of the hole is rounded; what remains of the hole has `radius` in m, a
-    number or a callable of time.
+    The mid-plane of the plate passes through `center` (3,), normal to the unit vector `axis` (3,). The rim
+    has the rounding radius `edge` in m, and the plate the thickness 2 * `edge`. `radius` in m is the clear
+    radius of the hole, a number or a callable of time.
     """
 
     center: Array = eqx.field(converter=as_float)
@@ -224,7 +227,7 @@ class Opening(AbstractShape):
 
 
 def wall_law(nearness: Array) -> Array:
-    """$s^3 / (3 (1 - s))$ of the `nearness` s >= 0, and its Taylor polynomial beyond `NEAREST`."""
+    """$s^3 / (3 (1 - s))$ at the `nearness` s >= 0, and its Taylor polynomial beyond `NEAREST`."""
     s = jnp.minimum(nearness, NEAREST)
     law = s**3 / (3.0 * (1.0 - s))
     beyond = nearness - s
@@ -237,7 +240,7 @@ class Wall(eqx.Module):
     **Arguments:**
 
     - `shape`: an `AbstractShape`.
-    - `stiffness`: (n,) $k_w$ of each node in N/m (scale it with the node's area).
+    - `stiffness`: (n,) $k_w$ of each node in N/m; scale it with the node's area.
     - `range`: $\\sigma$ in m, the gap at which the wall starts to push.
     """
 

@@ -1,4 +1,4 @@
-"""Words that messages share."""
+"""Text helpers for messages."""
 
 import difflib
 import re
@@ -8,7 +8,7 @@ _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """The end of a sentence that proposes the `known` name that is spelt most like `name`, or all of them."""
+    """End a sentence with the `known` name that is closest to `name` in spelling, or with all of them."""
     known = list(known)
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
     if close:
@@ -17,5 +17,5 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 def one_line(text: str) -> str:
-    """Text with control characters, as file names may have, as escapes."""
+    """Replace control characters, which file names may contain, by escapes."""
     return _CONTROL.sub(lambda found: repr(found[0])[1:-1], text)

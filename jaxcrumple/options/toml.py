@@ -1,4 +1,4 @@
-"""TOML files as they are read: their values, and the lines that these stand on."""
+"""Read TOML files, and find the line of a value."""
 
 import re
 import tomllib
@@ -7,7 +7,7 @@ from typing import Any
 
 from jaxcrumple.options.validation import ConfigError, Place
 
-# Bytes of the largest file, and levels of tables and lists, that anybody can mean.
+# Largest size in bytes and depth of nested tables and lists; any larger file is a mistake.
 LARGEST, DEEPEST = 10_000_000, 50
 _NAME = r"(?:[\w-]+|\"[^\"]*\"|'[^']*')"
 _NAMES = rf"{_NAME}(?:\s*\.\s*{_NAME})*"
@@ -16,13 +16,13 @@ _KEY = re.compile(rf"\s*({_NAMES})\s*=")
 
 
 def read_toml(path: str | Path) -> tuple[dict[str, Any], str]:
-    """Values of a file, and its text.
+    """Return the values of a file, and its text.
 
-    **Raises:** `ConfigError` for a file that cannot be read, with the line where that is known.
+    **Raises:** `ConfigError` for a file that cannot be read, with the line if it is known.
     """
     data = _bytes(Path(path))
     try:
-        # Some editors begin a file with a byte-order mark, and end lines in other ways.
+        # Some editors write a byte-order mark or other line endings.
         text = data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
         values = tomllib.loads(text)
     except RecursionError as error:
@@ -35,9 +35,9 @@ def read_toml(path: str | Path) -> tuple[dict[str, Any], str]:
 
 
 def _bytes(path: Path) -> bytes:
-    """What a file holds, or a pipe of the shell's, as by `<(...)`; any other would be waited for.
+    """Read a file or a shell pipe such as `<(...)`; reading any other device could block.
 
-    **Raises:** ConfigError for what is neither, cannot be read, or is too large to be meant.
+    **Raises:** ConfigError for a folder, another device, an unreadable file, or a file above `LARGEST`.
     """
     try:
         if not (path.is_file() or path.is_relative_to("/dev/fd") or not path.exists()):
@@ -54,7 +54,7 @@ def _bytes(path: Path) -> bytes:
 
 
 def _depth(values: Any) -> int:
-    """How many levels of tables and lists values have."""
+    """Count the levels of nested tables and lists."""
     depth, level = 0, [values]
     while level := [part for part in level if isinstance(part, dict | list)]:
         depth += 1
@@ -63,10 +63,10 @@ def _depth(values: Any) -> int:
 
 
 def line_of(text: str, place: Place) -> int | None:
-    """Number of the line, counted from 1, where a value stands, or else the table that it belongs to.
+    """Return the line number, from 1, of a value, or of the table that contains it.
 
-    Found by the names at the beginning of lines: what stands inside a list or an inline table has the line
-    where that begins, and text in a string of several lines may be taken for a name.
+    The search compares the names at the beginning of lines. A value inside a list or an inline table gets
+    the line where that begins. Text in a multi-line string may be mistaken for a name.
     """
     found, depth = None, 0
     table: Place = ()
@@ -91,7 +91,7 @@ def _parts(names: str) -> Place:
 
 
 def _numbered(names: Place, counts: dict[Place, int]) -> Place:
-    """Names of a table with the number of each list of tables that it is in."""
+    """Return the names of a table, with its index after the name of each array of tables."""
     place: Place = ()
     for end in range(1, len(names) + 1):
         place = (*place, names[end - 1])

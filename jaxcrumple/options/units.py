@@ -1,7 +1,7 @@
-"""Numbers with a physical dimension: plain in SI units, or as strings that carry a unit.
+"""Numbers with a physical dimension: plain numbers in SI units, or strings with a unit.
 
-A field of an option group that has one of the types below takes `0.25e-3` and `"0.25 mm"` alike. Pint
-converts in decimal arithmetic, so both are the same number to the last digit.
+An option field of one of the types below accepts both `0.25e-3` and `"0.25 mm"`. Pint converts in decimal
+arithmetic, so both give the same number to the last digit.
 """
 
 import functools
@@ -18,19 +18,21 @@ from jaxcrumple.options.suggest import nearest
 if TYPE_CHECKING:
     import pint
 
-# A number with what follows it.
+# A number and the text that follows it.
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S.*?)\s*")
-# Names of units with small powers, divided and multiplied: nothing that could take long to evaluate.
+# Products and quotients of unit names with powers of one digit, which Pint evaluates fast.
 _NAME = r"[^\W\d_]+(?:(?:\^|\*\*)[+-]?\d)?"
 _PRODUCT = re.compile(rf"(?:1|{_NAME})?(?:\s*[*/]\s*{_NAME}|\s+{_NAME})*")
-# The longest unit that is read.
+# Most characters of a unit.
 _LONGEST = 40
 
 
 @dataclass(frozen=True)
 class Unit:
-    """What a field is measured in: the SI unit's `symbol`, the dimension's `name`, an `example`, and the
-    `usual` units of it, of which the nearest is proposed where one is misspelt."""
+    """The unit of a field: the `symbol` of the SI unit, the `name` of the dimension and an `example`.
+
+    For a misspelt unit the message proposes the closest of the `usual` units.
+    """
 
     symbol: str
     name: str
@@ -38,16 +40,16 @@ class Unit:
     usual: tuple[str, ...]
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
-        """What Pydantic asks of an annotation: convert, then check as before."""
+        """Return the Pydantic schema that converts the value, then checks it as without this annotation."""
         return core_schema.no_info_before_validator_function(self.si, handler(source))
 
     def si(self, value: Any) -> Any:
-        """The number in SI units of a string with a unit; anything else as it is.
+        """Convert a string with a unit to a number in SI units; return any other value unchanged.
 
         **Raises:** `PydanticCustomError`, a ValueError, for an unknown unit or one of another dimension.
         """
         if isinstance(value, bool):
-            raise _refused(f"is no number; give {self.name}, such as {self.example!r}")
+            raise _refused(f"is not a number; give {self.name}, such as {self.example!r}")
         found = _QUANTITY.fullmatch(value) if isinstance(value, str) and not _is_plain(value) else None
         if found is None:
             return value
@@ -65,7 +67,7 @@ class Unit:
 
         try:
             if len(text) > _LONGEST or not _PRODUCT.fullmatch(text):
-                raise ValueError("no product of units")
+                raise ValueError("not a product of units")
             return _registry().parse_units("1" + text if text.startswith("/") else text)
         except (ValueError, pint.PintError) as error:
             hint = nearest(text[:_LONGEST], self.usual)
@@ -73,12 +75,12 @@ class Unit:
 
 
 def unit_of(field: Any) -> Unit | None:
-    """The unit of a Pydantic field, of what is in its lists as well; None for one without."""
+    """Return the unit of a Pydantic field or of the items of its lists, or None."""
     return next((found for found in _metadata(field) if isinstance(found, Unit)), None)
 
 
 def _metadata(annotation: Any) -> Iterator[Any]:
-    """All that is annotated in a type or a field, inner types included."""
+    """Yield all annotations of a type or a field, including inner types."""
     for name in ("metadata", "__metadata__"):
         yield from getattr(annotation, name, ())
     inner = getattr(annotation, "annotation", None)
@@ -88,7 +90,7 @@ def _metadata(annotation: Any) -> Iterator[Any]:
 
 @functools.cache
 def _registry() -> "pint.UnitRegistry":
-    """Pint's units. Imported here, for it takes a quarter of a second that plain numbers need not wait."""
+    """Return Pint's units. The import takes 0.25 s, so it happens only when a unit needs it."""
     import pint
 
     return pint.UnitRegistry(non_int_type=Decimal)
@@ -107,7 +109,7 @@ def _refused(said: str) -> PydanticCustomError:
 
 
 def _dimension(unit: "pint.Unit") -> str:
-    """A unit's dimension in words."""
+    """Describe the dimension of a unit in words."""
     if unit.dimensionless:
         return "a number without a unit of length, time or mass"
     for known in UNITS:

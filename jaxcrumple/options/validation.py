@@ -1,4 +1,4 @@
-"""From what Pydantic finds wrong to one line that names place, cause and cure."""
+"""Turn an error of Pydantic into one line that names place, cause and cure."""
 
 import types
 import typing
@@ -9,16 +9,16 @@ from pydantic import BaseModel, ValidationError
 
 from jaxcrumple.options.suggest import nearest
 
-# Characters of a wrong value that a message quotes.
+# Most characters of a wrong value that a message quotes.
 QUOTED = 80
 
 Place = tuple[str | int, ...]
 
 
 class ConfigError(ValueError):
-    """An option that cannot be; the message names it, the cause and the cure.
+    """An invalid option; the message names the option, the cause and the cure.
 
-    `place`: names and numbers that lead to it in a file, as far as they are known.
+    `place`: the path of names and indices to the option in a file, as far as it is known.
     """
 
     def __init__(self, message: str, place: Place = ()):
@@ -29,21 +29,21 @@ class ConfigError(ValueError):
 def validated(
     model: type[BaseModel], values: Mapping[str, Any], place: Place = (), context: Any = None
 ) -> Any:
-    """A model of values, which stand at `place` in a file.
+    """Validate the values at `place` in a file, and return them as a model.
 
-    **Raises:** `ConfigError` that names the first one that cannot be.
+    **Raises:** `ConfigError` that names the first invalid value.
     """
     try:
         return model.model_validate(values, context=context)
     except ValidationError as error:
-        # A misspelt name tells more than the one that is missing for it.
+        # A misspelt name also makes a name missing; report the misspelt one, which shows the cause.
         first = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
         inner = _given(first, values)
         raise ConfigError(_said(first, model, (*place, *inner), inner), (*place, *inner)) from error
 
 
 def dotted(place: Sequence[str | int]) -> str:
-    """A place in words, e.g. "options.walls[0].radius"."""
+    """Write a place as text, e.g. "options.walls[0].radius"."""
     return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).removeprefix(".")
 
 
@@ -68,13 +68,13 @@ def _said(first: Any, model: type[BaseModel], place: Place, inner: Place) -> str
 
 
 def shortened(value: Any) -> str:
-    """A value as messages quote it."""
+    """Quote a value for a message, cut to `QUOTED` characters."""
     text = repr(value)
     return text if len(text) <= QUOTED else f"{text[:QUOTED]}..."
 
 
 def _given(error: Any, values: Any) -> Place:
-    """Where an error is, without the names that Pydantic adds for members of a union."""
+    """Return the place of an error, without the names that Pydantic adds for union members."""
     found: list[str | int] = []
     for part in error["loc"]:
         if _holds(values, part):
@@ -94,18 +94,18 @@ def _holds(values: Any, part: str | int) -> bool:
 
 
 def _parents(model: type[BaseModel], loc: Place) -> list[type[BaseModel]]:
-    """The models that may stand where the last part of `loc` is a name."""
+    """Return the models that may have the last part of `loc` as a field."""
     models = [model]
     for part in loc[:-1]:
         owned = [one.model_fields[part].annotation for one in models if part in one.model_fields]
-        # A part that names no field is an index or the tag of a union's member.
+        # A part that is not a field name is an index or the tag of a union member.
         tagged = [one for one in models if any(part in get_args(f.annotation) for f in _fields(one))]
         models = [found for annotation in owned for found in models_in(annotation)] or tagged or models
     return models
 
 
 def _names(model: type[BaseModel], loc: Place) -> list[str]:
-    """Names that are known where `loc` has one that is not."""
+    """Return the known names at the place where `loc` has an unknown one."""
     return [name for one in _parents(model, loc) for name in one.model_fields]
 
 
@@ -119,7 +119,7 @@ def _fields(model: type[BaseModel]) -> Iterator[Any]:
 
 
 def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    """All models inside an annotation, not those inside of these."""
+    """Yield the models in an annotation, without the models nested in these."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     elif typing.get_origin(annotation) is not None:

@@ -1,4 +1,4 @@
-"""The paper's figures, each from the runs that it needs: `jaxcrumple figure NAME`."""
+"""Reproduce the figures of the paper with their runs: `jaxcrumple figure NAME`."""
 
 from jaxcrumple.paper import axial, fold, four, gallery, order, radial
 from jaxcrumple.paper.base import Figure, make_figure

@@ -1,4 +1,4 @@
-"""Fig. 9: repeated axial crumpling: growth of the crease length, facets, and how their areas are spread."""
+"""Fig. 9: repeated axial crumpling: growth of the crease length, facets, and distribution of facet areas."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,9 +15,9 @@ from jaxcrumple.plot.plot import about
 from jaxcrumple.run.config import RunConfig, configure
 from jaxcrumple.scenes.axial import AxialTimes
 
-# Nodes, cycles and seeds for a laptop and in full; frames of a cycle.
+# Nodes, cycles and seeds for a laptop and at full size; frames per cycle.
 NODES, CYCLES, SEEDS, FRAMES = (500, 2000), (3, 5), (1, 3), 10
-# Cycles whose facets are shown.
+# Number of cycles whose facets the figure shows.
 SHOWN = 3
 
 
@@ -30,7 +30,7 @@ def _runs(full: bool) -> dict[str, RunConfig]:
 
 
 def cycle_frames(run: Run) -> list[int]:
-    """Numbers of the frames at which the sheet lies flat again, one for each cycle."""
+    """Return the index of the frame at the end of each cycle, when the sheet is flat again."""
     options = run.config["options"]
     times = AxialTimes(*(options[name] for name in AxialTimes._fields))
     ends = times.ends(options["cycles"])[:, -1]
@@ -38,7 +38,7 @@ def cycle_frames(run: Run) -> list[int]:
 
 
 def growth(run: Run) -> pd.DataFrame:
-    """Crease length in m after each cycle of a run."""
+    """Return the crease length in m after each cycle of a run."""
     lengths = [crease_length(run.mesh, run.p[frame]) for frame in cycle_frames(run)]
     table = {"seed": run.config["seed"], "cycle": np.arange(1, len(lengths) + 1), "crease_length": lengths}
     return pd.DataFrame(table)
@@ -72,7 +72,7 @@ def _draw(runs: Runs, folder: Path) -> list[Path]:
 def _draw_facets(
     runs: Runs, facets: Mapping[str, Facets], cycle: int, frame: int, folder: Path, rows: list[dict[str, Any]]
 ) -> list[Path]:
-    """Facets of the first run after a cycle, and the areas of those of all runs; adds the rows of a table."""
+    """Draw the facets of the first run after a cycle, and the facet areas of all runs; append table rows."""
     first = next(iter(runs.values()))
     now, after = about(first, t=first.t[frame]), f"cycle {cycle}"
     place, label = folder / f"figure_9d_facets_{cycle}.png", next(iter(facets.values())).label

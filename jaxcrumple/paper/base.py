@@ -1,4 +1,4 @@
-"""What the figures share: the runs behind one, and how it is made of them."""
+"""Define a figure of the paper: its runs, and how to draw it from them."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -18,9 +18,9 @@ Runs = Mapping[str, Run]
 class Figure(NamedTuple):
     """A figure of the paper.
 
-    `summary`: what it shows; `runs`: configurations by name, for a laptop or, given True, at the paper's
-    size; `draw`: makes the pictures, and the data behind them as tables, in a folder, and returns their
-    paths.
+    `summary`: content of the figure; `runs`: function that returns configurations by name, for a laptop
+    (False) or at the paper's size (True); `draw`: function that writes the pictures and their data as tables
+    to a folder, and returns their paths.
     """
 
     summary: str
@@ -31,9 +31,9 @@ class Figure(NamedTuple):
 def make_figure(
     figure: Figure, folder: str | Path, *, full: bool = False, tell: Tell = lambda name, result: None
 ) -> list[Path]:
-    """Do the runs of a figure that `folder` lacks, side by side, and draw it; returns the files.
+    """Complete the runs of a figure in `folder`, side by side, draw the figure, and return the files.
 
-    **Raises:** ValueError where `folder` is a file, or a run did not come to its end, after all have ended.
+    **Raises:** ValueError if `folder` is a file or, after all runs have ended, if a run did not succeed.
     """
     place = Path(folder)
     if place.exists() and not place.is_dir():
@@ -52,6 +52,6 @@ def make_figure(
 
 
 def save_table(table: pd.DataFrame, path: Path) -> Path:
-    """Write the data behind a picture, all or nothing."""
+    """Write the data of a picture atomically."""
     write_bytes(path, table.to_csv(index=False).encode())
     return path

@@ -1,9 +1,8 @@
-"""Fig. 3b: the angle that a fold keeps against the yield curvature, for several meshes, and their collapse.
+"""Fig. 3b: residual angle of a fold against the yield curvature for several meshes, and their collapse.
 
-With phi the angle that is left and theta = pi - phi, c_f = 2 sin(theta/2); c0 is the mean dimensionless
-yield curvature of the mesh's hinges and lambda = sqrt(n / A). One linear map of lambda c0 with an offset
-proportional to lambda serves all meshes: c_f = a - b lambda c0 + d lambda, fitted where the fold yields and
-the halves do not touch.
+With the residual angle phi and theta = pi - phi, c_f = 2 sin(theta/2). c0 is the mean dimensionless yield
+curvature of the hinges, and lambda = sqrt(n / A). One linear map fits all meshes: c_f = a - b lambda c0 +
+d lambda. The fit uses folds that yield and whose halves do not touch.
 """
 
 from pathlib import Path
@@ -18,11 +17,11 @@ from jaxcrumple.plot.figure import new_figure, save_figure
 from jaxcrumple.run.config import MaterialOptions, RunConfig, configure
 from jaxcrumple.scenes.fold import TIMES, fold_angle
 
-# Gap in m, the same for all meshes, and yield curvatures in 1/m.
+# Gap in m for all meshes, and yield curvatures in 1/m.
 GAP, YIELDS = 0.01, np.geomspace(25.0, 150.0, 12)
-# Range of c_f in which a fold has yielded and stays open.
+# Range of c_f in which a fold has yielded and remains open.
 FITTED = (0.3, 1.9)
-# So that the moment of the release is that of a frame, at which a step ends.
+# With this number of frames, one frame coincides with the release, so that a step ends there.
 FRAMES = round(TIMES.end / 0.05)
 
 
@@ -39,7 +38,7 @@ def _runs(full: bool) -> dict[str, RunConfig]:
 
 
 def folded(run: Run) -> dict[str, float]:
-    """Nodes, lambda and yield curvature in 1/m, c0, angle in degrees and c_f of a fold that was let go."""
+    """Return nodes, lambda and yield curvature in 1/m, c0, angle in degrees and c_f of a released fold."""
     material = MaterialOptions(**run.config["material"]).build()
     angle = float(fold_angle(run.mesh, jnp.asarray(run.x[-1])))
     c0 = material.discretize(run.mesh).c0
@@ -55,9 +54,9 @@ def folded(run: Run) -> dict[str, float]:
 
 
 def collapse(table: pd.DataFrame) -> tuple[np.ndarray, float, float]:
-    """Coefficients a, b, d of the map, and the root mean square of what it leaves, with and without d.
+    """Fit the coefficients a, b, d of the map; return them and the rms residuals with and without d.
 
-    **Arguments:** a `table` of rows as `folded` makes them.
+    **Arguments:** `table`: rows from `folded`.
     """
     used = table[table["c_f"].between(*FITTED, inclusive="neither")]
     density, c0, left = (used[name].to_numpy() for name in ("lambda", "c0", "c_f"))

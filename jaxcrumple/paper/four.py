@@ -1,4 +1,4 @@
-"""Fig. 8c: phantom against self-avoiding sheets, elastic against elastoplastic."""
+"""Fig. 8c: phantom and self-avoiding sheets, elastic and elastoplastic."""
 
 import itertools
 from pathlib import Path
@@ -11,7 +11,7 @@ from jaxcrumple.paper.base import Figure, Runs, save_table
 from jaxcrumple.paper.panels import Moment, plot_moments, table_of
 from jaxcrumple.run.config import MaterialOptions, RunConfig, configure
 
-# Values of the options that make the four.
+# Option values of the four cases.
 CONTACT = {"phantom": None, "self-avoiding": "penalty"}
 YIELD = {"elastic": None, "elastoplastic": 200.0}
 NODES, T_END = (1000, 3000), (2.6, 3.7)
@@ -30,7 +30,7 @@ def _runs(full: bool) -> dict[str, RunConfig]:
 
 
 def bending_localization(run: Run) -> float:
-    """Share of the area that holds half of the bending energy of the last frame."""
+    """Return the share of the area that holds half of the bending energy in the last frame."""
     constants = MaterialOptions(**run.config["material"]).build().discretize(run.mesh)
     stiffness = constants.kb * run.mesh.hinge_weight
     return localization(run.mesh, face_bending_density(run.mesh, run.x[-1], run.p[-1], stiffness))

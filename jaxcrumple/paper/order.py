@@ -1,4 +1,4 @@
-"""Fig. 4: the order of nodes along a Hilbert curve, and how dense the tangent is along its diagonal."""
+"""Fig. 4: node order along a Hilbert curve, and density of the tangent near its diagonal."""
 
 from pathlib import Path
 
@@ -13,12 +13,12 @@ from jaxcrumple.paper.base import Figure, Runs, save_table
 from jaxcrumple.plot.figure import new_figure, save_figure
 
 NODES, SIZE = 3000, 0.1
-# Sizes of the diagonal blocks of (c) and (d), and half that of the middle part of the pattern in (b).
+# Sizes of the diagonal blocks in (c) and (d), and half the size of the middle part of the pattern in (b).
 BLOCKS, MIDDLE = np.unique(np.geomspace(3, 1500, 40).astype(int)), 200
 
 
 def coupling(mesh: Mesh) -> sparse.csr_array:
-    """Which nodes (n, n) act on which: those of a triangle, and those opposite to a shared edge."""
+    """Return the sparsity pattern (n, n) of coupled nodes: nodes of a triangle, and nodes of a hinge."""
     rows = [np.repeat(table, table.shape[1], axis=1) for table in (mesh.faces, mesh.hinges)]
     columns = [np.tile(table, (1, table.shape[1])) for table in (mesh.faces, mesh.hinges)]
     row, column = (np.concatenate([part.ravel() for part in parts]) for parts in (rows, columns))
@@ -27,14 +27,14 @@ def coupling(mesh: Mesh) -> sparse.csr_array:
 
 
 def share_in_blocks(pattern: sparse.csr_array, order: np.ndarray, size: int) -> float:
-    """Share of the entries that lie in diagonal blocks of `size` nodes, numbered in an order (n,)."""
+    """Return the share of the entries inside diagonal blocks of `size` nodes, for a node order (n,)."""
     place = np.argsort(order)
     row, column = (place[part] // size for part in pattern.nonzero())
     return float(np.mean(row == column))
 
 
 def share_of_blocks(pattern: sparse.csr_array, order: np.ndarray, size: int) -> float:
-    """Share of the diagonal blocks of `size` nodes that entries fill, numbered in an order (n,)."""
+    """Return the filled share of the diagonal blocks of `size` nodes, for a node order (n,)."""
     whole, rest = divmod(len(order), size)
     return share_in_blocks(pattern, order, size) * pattern.nnz / (whole * size**2 + rest**2)
 

@@ -1,4 +1,4 @@
-"""Rows of panels: a run at several moments, in space and as a map of curvature on the flat sheet."""
+"""Plot panels of a run at several times: the sheet in space, and its mean curvature on the flat sheet."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,7 +14,7 @@ from jaxcrumple.plot.plot import CURVATURE_LABEL, color_scale, draw_flat, draw_s
 
 
 class Moment(NamedTuple):
-    """A frame of a run, by number, with what is written above it."""
+    """A frame of a run, by index, and its title."""
 
     title: str
     run: Run
@@ -22,17 +22,17 @@ class Moment(NamedTuple):
 
 
 def frames_at(run: Run, shares: Sequence[float]) -> list[int]:
-    """Numbers of the frames nearest to shares of a run's time, each once."""
+    """Return the indices of the frames nearest to shares of a run's time, without repetition."""
     return list(dict.fromkeys(int(np.argmin(np.abs(run.t - share * run.t[-1]))) for share in shares))
 
 
 def moments(run: Run, frames: Sequence[int]) -> list[Moment]:
-    """Frames of a run, by number, with their times above them."""
+    """Return frames of a run, by index, with their times as titles."""
     return [Moment(f"t = {run.t[frame]:.3g} s", run, frame) for frame in frames]
 
 
 def plot_moments(shown: Sequence[Moment], caption: str, path: Path) -> Path:
-    """A column for each moment: the sheet in space, and its mean curvature on the flat sheet."""
+    """Plot one column for each moment: the sheet in space, and its mean curvature on the flat sheet."""
     curvature = [mean_curvature(one.run.mesh, one.run.x[one.frame]) for one in shown]
     scale = color_scale(np.concatenate(curvature), signed=True)
     figure = new_figure((2.6 * len(shown) + 0.8, 5.4), caption)
@@ -49,7 +49,7 @@ def plot_moments(shown: Sequence[Moment], caption: str, path: Path) -> Path:
 
 
 def table_of(shown: Sequence[Moment]) -> pd.DataFrame:
-    """What the panels show, in numbers: a line for each moment, energies in J, crease length in m."""
+    """Return the data of the panels: one row for each moment, with energies in J and crease length in m."""
     return pd.DataFrame([_row(one) for one in shown])
 
 

@@ -1,4 +1,4 @@
-"""Figs. 5a, 6a, 8a, 8b and 8d: what happens to a sheet in a sphere that shrinks."""
+"""Figs. 5a, 6a, 8a, 8b and 8d: a sheet in a shrinking sphere."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -16,16 +16,16 @@ from jaxcrumple.plot.plot import about, plot_steps
 from jaxcrumple.plot.sections import plot_section, plot_volume_fraction
 from jaxcrumple.run.config import RunConfig, configure
 
-# Moments of the panels, as shares of a run.
+# Times of the panels, as shares of the end time.
 SHARES = (0.25, 0.5, 0.75, 1.0)
-# How far along its normals layers are counted, in m.
+# Distance in m along the normals within which layers count.
 REACH = 2e-3
 
 
 def _one(
     nodes: tuple[int, int], t_end: tuple[float, float], **settings: Any
 ) -> Callable[[bool], dict[str, RunConfig]]:
-    """One run of `radial`, of sizes and end times for a laptop and in full."""
+    """Return a function that configures one run of `radial`, for a laptop or at full size."""
 
     def runs(full: bool) -> dict[str, RunConfig]:
         return {"radial": configure("radial", nodes=nodes[full], t_end=t_end[full], settings=settings)}
@@ -34,7 +34,7 @@ def _one(
 
 
 def _panels(number: str, shares: Sequence[float] = SHARES) -> Callable[[Runs, Path], list[Path]]:
-    """Draws a run at several moments."""
+    """Return a function that draws a run at several times."""
 
     def draw(runs: Runs, folder: Path) -> list[Path]:
         run = runs["radial"]
@@ -80,16 +80,16 @@ def _draw_inside(runs: Runs, folder: Path) -> list[Path]:
 
 
 def _cut(mesh: Mesh, x: np.ndarray) -> pd.DataFrame:
-    """Both ends in m of the lines in which the plane of (b) cuts the triangles of a sheet at `x` (n, 3)."""
+    """Return both ends in m of the lines in which the plane of (b) cuts the triangles at `x` (n, 3)."""
     section = cross_section(mesh, x, center_of_mass(mesh, x), (0.0, 0.0, 1.0))
     ends = pd.DataFrame(section.ends.reshape(-1, 4), columns=["u0", "w0", "u1", "w1"])
     return ends.assign(face=section.faces)
 
 
 def rearrangement(run: Run) -> int:
-    """Number of the frame before which the map of curvature changes most, among those of the second half.
+    """Return the index of the frame, in the second half, before which the mean curvature changes most.
 
-    The change is the root mean square of the difference of mean curvatures over that of both.
+    The change is the mean square difference of the mean curvatures, divided by the sum of their mean squares.
     """
     maps = np.array([mean_curvature(run.mesh, x) for x in run.x])
     squares = (maps**2) @ run.mesh.node_area

@@ -1,7 +1,7 @@
-"""Pictures of the statistics of crumpling, as in Fig. 9: facets, their areas, growth of the creases.
+"""Plot statistics of crumpling, as in Fig. 9: facets, facet areas, growth of the crease length.
 
-As in `jaxcrumple.plot.plot`, each function writes one picture to `path`, in the format of its ending, and
-returns the path.
+As in `jaxcrumple.plot.plot`, each function writes one picture to `path` and returns `path`; its extension
+selects the format.
 """
 
 from __future__ import annotations
@@ -30,13 +30,14 @@ def plot_facets(
     caption: str = "",
     path: str | Path,
 ) -> Path:
-    """Facets in random colours on the flat sheet in mm, and damaged edges on top (Fig. 9d).
+    """Plot facets in random colours on the flat sheet in mm, with damaged edges on top (Fig. 9d).
 
-    **Arguments:** `label` (f,): facet of each triangle, as `segment_facets` returns; `p` (h,): rest
-    curvature, drawn where it moved by more than `threshold`; `caption`: written above.
+    **Arguments:** `label` (f,): facet of each triangle, from `segment_facets`; `p` (h,): rest curvature;
+    edges whose rest curvature changed by more than `threshold` count as damaged; `caption`: text above the
+    figure.
 
-    **Raises:** ValueError for a wrong shape or an unknown ending of `path`, `RunDirectoryError` if it cannot
-    be written.
+    **Raises:** ValueError for a wrong shape or an unknown extension of `path`, `RunDirectoryError` if `path`
+    cannot be written.
     """
     label, count = np.asarray(label), len(mesh.faces)
     if label.shape != (count,):
@@ -58,10 +59,12 @@ def plot_facets(
 def plot_areas(
     areas: ArrayLike, sheets: int = 1, *, bins: int = 8, caption: str = "", path: str | Path
 ) -> Path:
-    """Density of areas over their mean, against the fragmentation law of this mean (Fig. 9d, bottom).
+    """Plot the density of areas over their mean, and the fragmentation law of this mean (Fig. 9d, bottom).
 
-    **Arguments:** `areas` (k,): of all facets of so many `sheets`, in any unit; `bins`: their number, equal
-    on the logarithmic axis; bars are a standard deviation of the counts; `caption`: written above.
+    Error bars are one standard deviation of the counts.
+
+    **Arguments:** `areas` (k,): areas of all facets of all sheets, in any unit; `sheets`: number of sheets;
+    `bins`: number of bins, of equal width on the logarithmic axis; `caption`: text above the figure.
 
     **Raises:** as `plot_facets`, and ValueError for areas that `fit_areas` refuses.
     """
@@ -95,12 +98,12 @@ def plot_areas(
 
 
 def plot_growth(cycle: ArrayLike, length: ArrayLike, *, caption: str = "", path: str | Path) -> Path:
-    """Crease length in m against the cycle number, and the laws that `fit_growth` fits to it (Fig. 9b).
+    """Plot the crease length in m against the cycle number, and the laws fitted by `fit_growth` (Fig. 9b).
 
-    **Arguments:** `cycle`, `length` (m,): as for `fit_growth`, or `length` (k, m) of k sheets, which are all
-    drawn, while the laws are fitted to their mean; `caption`: written above.
+    **Arguments:** `cycle` (m,), `length` (m,): as for `fit_growth`, or `length` (k, m) of k sheets; the
+    figure then shows all sheets, and the laws fit their mean; `caption`: text above the figure.
 
-    **Raises:** as `plot_facets`, and ValueError for what `fit_growth` refuses.
+    **Raises:** as `plot_facets`, and ValueError for input that `fit_growth` refuses.
     """
     sheets = np.atleast_2d(length)
     mean = sheets.mean(axis=0)
@@ -122,7 +125,7 @@ def plot_growth(cycle: ArrayLike, length: ArrayLike, *, caption: str = "", path:
 
 
 def _random_colors(count: int) -> FloatArray:
-    """Light colours (count, 3), the same each time; hues of neighbours in number lie far apart."""
+    """Return reproducible light colours (count, 3); consecutive ones differ strongly in hue."""
     rng = np.random.default_rng(0)
     hue = (0.618034 * np.arange(count)) % 1  # steps of the golden section
     saturation, value = rng.uniform(0.35, 0.6, count), rng.uniform(0.8, 1, count)

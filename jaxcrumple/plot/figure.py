@@ -1,4 +1,4 @@
-"""Figures that need no display: made with the Agg canvas, written whole or not at all."""
+"""Create figures without a display, with the Agg canvas, and write them atomically."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jaxcrumple.io.atomic import write_bytes
 
 
 def new_figure(size: tuple[float, float], caption: str) -> Figure:
-    """An empty figure of `size` in inches, with the `caption` above if it is not empty."""
+    """Create an empty figure of `size` in inches; write the `caption` above unless it is empty."""
     figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
     if caption:
@@ -21,9 +21,9 @@ def new_figure(size: tuple[float, float], caption: str) -> Figure:
 
 
 def save_figure(figure: Figure, path: str | Path) -> Path:
-    """Write the picture, all or nothing, in the format that the ending of `path` names.
+    """Write the picture atomically, in the format of the extension of `path`.
 
-    **Raises:** ValueError for an unknown ending, `RunDirectoryError` if it cannot be written.
+    **Raises:** ValueError for an unknown extension, `RunDirectoryError` if `path` cannot be written.
     """
     path = Path(path)
     buffer = io.BytesIO()

@@ -1,8 +1,7 @@
-"""Pictures of a run: the sheet, its creases, its steps and its energies, in the manner of Figs. 5a and 6a.
+"""Plot a run: sheet, creases, steps and energies, similar to Figs. 5a and 6a.
 
-Every function writes one picture to `path`, whose ending names the format (.png, .pdf, .svg, ...), and
-returns the path. Nothing is shown and no global setting of matplotlib is touched, so that they work without a
-display.
+Every function writes one picture to `path` and returns `path`; its extension selects the format (.png, .pdf,
+.svg, ...). The functions need no display and change no global setting of matplotlib.
 """
 
 from __future__ import annotations
@@ -33,8 +32,8 @@ from jaxcrumple.solvers.log import AFTER, STEP
 from jaxcrumple.state import STAGES
 
 CURVATURE_LABEL = "mean curvature $H$ [1/m]"
-DIVERGING = "RdBu_r"  # red is convex seen from the side of the face normals
-PALE = LinearSegmentedColormap.from_list("pale", ["#7fb2dc", "#f7f7f7", "#efa184"])  # lets lines stand out
+DIVERGING = "RdBu_r"  # red: convex as seen from the side of the face normals
+PALE = LinearSegmentedColormap.from_list("pale", ["#7fb2dc", "#f7f7f7", "#efa184"])  # lines stay visible
 MOUNTAIN, VALLEY = "#8e0012", "#0a2a6b"
 STAGE_COLORS = {"quasistatic": "#1f6fb4", "implicit": "#e8a33d", "explicit": "#d9541e"}
 ENERGY_COLORS = {
@@ -46,9 +45,9 @@ ENERGY_COLORS = {
     "extra": "#7f5ab0",
     "kinetic": "#777777",
 }
-# Shading: the share of light that reaches a face seen edge-on, and where the lamp stands.
+# Shading: share of light on a face parallel to the light, and direction of the lamp.
 AMBIENT, LAMP = 0.45, (-0.4, -0.55, 0.75)
-# The largest curvatures sit on single sharp hinges; colours span what this share of the nodes has.
+# The largest curvatures occur at single sharp hinges; colours span the values of this share of the nodes.
 ROBUST = 0.98
 
 
@@ -61,14 +60,14 @@ def plot_sheet(
     caption: str = "",
     path: str | Path,
 ) -> Path:
-    """The sheet in space, shaded, with equal scales in mm.
+    """Plot the shaded sheet in space, with equal scales in mm.
 
-    **Arguments:** `x` (n, 3) in m; `color`: one value per node (n,) or face (f,), by default the mean
-    curvature in 1/m; `label`: what it is, with its unit; `caption`: size and tolerance of the run, written
-    above.
+    **Arguments:** `x` (n, 3): positions in m; `color`: one value per node (n,) or face (f,), by default the
+    mean curvature in 1/m; `label`: name and unit of `color`; `caption`: text above the figure, e.g. size and
+    tolerance of the run.
 
-    **Raises:** ValueError for a wrong shape or an unknown ending of `path`, `RunDirectoryError` if it cannot
-    be written.
+    **Raises:** ValueError for a wrong shape or an unknown extension of `path`, `RunDirectoryError` if `path`
+    cannot be written.
     """
     x = positions(mesh, x)
     values = mean_curvature(mesh, x) if color is None else np.asarray(color, dtype=np.float64)
@@ -92,10 +91,10 @@ def plot_creases(
     caption: str = "",
     path: str | Path,
 ) -> Path:
-    """The crease pattern on the flat sheet: mean curvature of `x` (n, 3), and damaged edges on top (Fig. 5a).
+    """Plot the crease pattern: mean curvature of `x` (n, 3) on the flat sheet, and damaged edges (Fig. 5a).
 
-    The sheet is drawn in the x-y plane of its rest shape, in mm. Edges whose rest curvature `p` (h,) moved by
-    more than `threshold` are drawn as mountains (convex seen from the side of the face normals) or valleys.
+    The figure shows the x-y plane of the rest shape in mm. Edges whose rest curvature `p` (h,) changed by
+    more than `threshold` appear as mountains (convex as seen from the side of the face normals) or valleys.
     Colours span the curvatures of all but the sharpest 2 % of the nodes.
 
     **Raises:** as `plot_sheet`.
@@ -134,10 +133,10 @@ def plot_steps(
     caption: str = "",
     path: str | Path,
 ) -> Path:
-    """Step size and mean scaled acceleration over time, coloured by stage, with the switches (Fig. 6a).
+    """Plot step size and mean scaled acceleration over time, coloured by stage, with the switches (Fig. 6a).
 
-    **Arguments:** `history`, `events`: as `jaxcrumple.io.load` returns them; without events that lead `to` a
-    stage the switches are taken from the history. `thresholds`: values of $a_{max}/a_{ref}$ to draw dashed.
+    **Arguments:** `history`, `events`: as returned by `jaxcrumple.io.load`; without events that lead `to` a
+    stage, the switches come from the history. `thresholds`: values of $a_{max}/a_{ref}$ for dashed lines.
 
     **Raises:** as `plot_sheet`, and ValueError if the history has no steps.
     """
@@ -167,7 +166,7 @@ def plot_steps(
 
 
 def plot_energies(history: pd.DataFrame, *, caption: str = "", path: str | Path) -> Path:
-    """Energies by term in J over time; what is negative (loads) is dashed, with its magnitude.
+    """Plot energies by term in J over time; negative energies (loads) appear dashed, with their magnitude.
 
     **Raises:** as `plot_sheet`, and ValueError if the history is empty.
     """
@@ -191,7 +190,7 @@ def plot_energies(history: pd.DataFrame, *, caption: str = "", path: str | Path)
 
 
 def plot_run(folder: str | Path) -> list[Path]:
-    """All pictures of a run, finished or not, into its `folder`: its last frame, its steps and energies.
+    """Plot last frame, steps and energies of a run, finished or not, and write the pictures to its `folder`.
 
     **Raises:** `RunDirectoryError` as `jaxcrumple.io.load`, or if a picture cannot be written.
     """
@@ -211,8 +210,8 @@ def plot_run(folder: str | Path) -> list[Path]:
 
 
 def about(*runs: Run, t: float | None = None) -> str:
-    """Scene, size, seed, tolerance, and time in s of a run, or of several that differ by their seeds, in
-    words, as far as their folders tell."""
+    """Describe scene, size, seed, tolerance and time in s of a run, or of several that differ in their seeds,
+    as far as their configurations contain them."""
     first, seeds = runs[0], [str(run.config["seed"]) for run in runs if "seed" in run.config]
     config, solver = first.config, first.config.get("solver", {})
     words = [config["scene"]] if "scene" in config else []
@@ -226,8 +225,8 @@ def about(*runs: Run, t: float | None = None) -> str:
 
 
 def draw_sheet(axes: Any, mesh: Mesh, x: FloatArray, scale: ScalarMappable, values: FloatArray) -> None:
-    """The sheet at positions `x` (n, 3) in m into three-dimensional axes in mm, shaded, in colours of
-    `values` per node or face."""
+    """Draw the shaded sheet at positions `x` (n, 3) in m into three-dimensional axes in mm; `values` per node
+    or face set the colours."""
     corners = 1e3 * x[mesh.faces]
     colors = _shaded(scale.to_rgba(_on_faces(mesh, values)), corners)
     axes.add_collection3d(Poly3DCollection(corners, facecolors=colors, edgecolors=colors, linewidths=0.2))
@@ -235,14 +234,14 @@ def draw_sheet(axes: Any, mesh: Mesh, x: FloatArray, scale: ScalarMappable, valu
 
 
 def draw_flat(axes: Axes, mesh: Mesh, scale: ScalarMappable, values: FloatArray) -> None:
-    """Node `values` (n,) in colours on the flat sheet, into axes in mm."""
+    """Draw node `values` (n,) as colours on the flat sheet into axes in mm."""
     flat = 1e3 * mesh.vertices
     sheet = Triangulation(flat[:, 0], flat[:, 1], mesh.faces)
     axes.tripcolor(sheet, values, shading="gouraud").set(cmap=scale.cmap, norm=scale.norm)
 
 
 def _thresholds(run: Run) -> list[float]:
-    """The switch's thresholds as values of a_max/a_ref; none where the scheme has no switch."""
+    """Return the thresholds of the switch as values of a_max/a_ref; empty if the scheme has no switch."""
     options = SolverOptions(**run.config.get("solver", {}))
     if options.scheme not in ("alternating", "paper"):
         return []
@@ -255,7 +254,7 @@ def _thresholds(run: Run) -> list[float]:
 
 
 def color_scale(values: FloatArray, *, signed: bool) -> ScalarMappable:
-    """Colours of `values`: symmetric around 0 if `signed`, else from low to high; outliers saturate."""
+    """Return a colour scale: symmetric about 0 if `signed`, else from low to high; outliers saturate."""
     finite = values[np.isfinite(values)]
     if signed:
         limit = float(np.quantile(np.abs(finite), ROBUST)) if len(finite) else 0.0
@@ -277,7 +276,7 @@ def _on_faces(mesh: Mesh, values: FloatArray) -> FloatArray:
 
 
 def _shaded(colors: FloatArray, corners: FloatArray) -> FloatArray:
-    """Face `colors` (f, 4), darker the more a face is turned from the lamp; both sides are lit alike."""
+    """Darken face `colors` (f, 4) with the angle between face normal and lamp, equally on both sides."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
     light = np.abs(normals @ np.array(LAMP)) / np.linalg.norm(LAMP)
@@ -287,7 +286,7 @@ def _shaded(colors: FloatArray, corners: FloatArray) -> FloatArray:
 
 
 def _equal_box(axes: Any, x: FloatArray) -> None:
-    """Limits around the positions with the same scale on all axes; a flat sheet keeps some height."""
+    """Set limits around the positions with equal scales on all axes; leave some height for a flat sheet."""
     low, high = x.min(axis=0), x.max(axis=0)
     half = np.maximum(high - low, 0.15 * (high - low).max()) / 2
     middle = (low + high) / 2
@@ -298,9 +297,9 @@ def _equal_box(axes: Any, x: FloatArray) -> None:
 
 
 def _stage_lines(axes: Axes, steps: pd.DataFrame, column: str) -> None:
-    """The column over time; each segment has the colour of the stage of the step it leads to."""
+    """Draw a column over time; the stage of the step at the end of a segment sets its colour."""
     t, y = steps["t"].to_numpy(dtype=float), steps[column].to_numpy(dtype=float)
-    y = np.where(y > 0, y, np.nan)  # no place on a logarithmic axis
+    y = np.where(y > 0, y, np.nan)  # a logarithmic axis cannot show it
     stage = steps["stage"].to_numpy()
     for name in STAGES:
         into = stage[1:] == name

@@ -1,6 +1,6 @@
-"""Pictures of the inside of a crumple (Fig. 8b): cross-sections, volume fraction; and distributions.
+"""Plot the inside of a crumple (Fig. 8b): cross-sections and volume fraction; also distributions.
 
-They write one picture to `path` in the manner of `jaxcrumple.plot.plot`.
+Each function writes one picture to `path` as in `jaxcrumple.plot.plot`.
 """
 
 from __future__ import annotations
@@ -35,10 +35,12 @@ def plot_section(
     caption: str = "",
     path: str | Path,
 ) -> Path:
-    """Cross-section of the sheet in mm, at positions `x` (n, 3) in m, `thickness` in m to scale (Fig. 8b).
+    """Plot a cross-section of the sheet in mm, with the thickness to scale (Fig. 8b).
 
-    The plane goes through `point` (3,) in m, by default the centre of mass, across `normal` (3,) of any
-    length. A thin line along the middle of the sheet closes the wedges at folds.
+    **Arguments:** `x` (n, 3): positions in m; `thickness` in m.
+
+    The plane contains `point` (3,) in m, by default the centre of mass, and has the normal vector `normal`
+    (3,) of any length. A thin line along the midsurface closes the wedges at folds.
 
     **Raises:** as `cross_section` and `plot_sheet`, and ValueError if the plane misses the sheet.
     """
@@ -58,7 +60,7 @@ def plot_section(
 def plot_volume_fraction(
     fractions: Mapping[str, VolumeFraction], *, caption: str = "", path: str | Path
 ) -> Path:
-    """Scaled volume fraction $\\phi(r)/\\phi_0$ against $r/r_0$ (Fig. 8b), a line for each name.
+    """Plot scaled volume fractions $\\phi(r)/\\phi_0$ against $r/r_0$ (Fig. 8b), one line for each name.
 
     **Raises:** as `plot_sheet`, and ValueError without a fraction.
     """
@@ -81,7 +83,9 @@ def plot_volume_fraction(
 def plot_distributions(
     distributions: Mapping[str, Distribution], *, label: str, caption: str = "", path: str | Path
 ) -> Path:
-    """Densities of what `label` names, with its unit, on a logarithmic axis, a line of steps for each name.
+    """Plot probability densities on a logarithmic axis, one stepped line for each name.
+
+    `label`: name and unit of the quantity.
 
     **Raises:** as `plot_sheet`, and ValueError without a distribution.
     """
@@ -90,7 +94,7 @@ def plot_distributions(
     figure = new_figure((6.0, 4.4), caption)
     axes = figure.add_subplot(xlabel=label, ylabel="probability density", yscale="log")
     for name, found in distributions.items():
-        shown = np.where(found.density > 0, found.density, np.nan)  # no place on a logarithmic axis
+        shown = np.where(found.density > 0, found.density, np.nan)  # a logarithmic axis cannot show it
         axes.stairs(shown, found.edges, baseline=None, label=name, linewidth=1.2)
     axes.grid(alpha=0.3)
     axes.legend(frameon=False)

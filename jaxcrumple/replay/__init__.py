@@ -1,4 +1,4 @@
-"""Derivatives of runs: their accepted steps, recorded, and taken again with all decisions held fixed."""
+"""Derivatives of runs: repeat the recorded steps with all decisions of the step control held fixed."""
 
 from jaxcrumple.replay.record import Record
 from jaxcrumple.replay.replay import Replay, replay

@@ -1,4 +1,4 @@
-"""Lists of contact for the replay of recorded steps."""
+"""Contact lists for the replay of recorded steps."""
 
 import equinox as eqx
 import jax
@@ -13,18 +13,19 @@ from jaxcrumple.contact.lists import Around, Candidates, Near, doubled, motion
 from jaxcrumple.contact.narrow_phase import find_near
 from jaxcrumple.scene import Scene, with_near
 
-# How far in ranges the sheet of a replay may be from the recorded one.
+# Largest distance in contact ranges of the sheet in a replay from the recorded one.
 SLACK = 0.25
-# Steps whose positions differ by less, in ranges, are searched together.
+# Steps whose positions differ by less, in contact ranges, share one search.
 TOGETHER = 0.25
-# First room for pairs of triangles.
+# First capacity of the lists in pairs of triangles.
 FEWEST = 256
 
 
 class Lists(eqx.Module):
-    """For each of g stretches of steps the pairs of triangles that come near one another, `triangles`
-    (g, c, 2), the first `count` (g,) of them valid, and `folded` (g, w) as in `Candidates`; their places in
-    the matrix of a direct solver, (g, ...), or None."""
+    """Hold the candidate pairs of triangles for each of g stretches of steps.
+
+    `triangles` (g, c, 2), of which the first `count` (g,) are valid; `folded` (g, w) as in `Candidates`;
+    `merged`: structure of the merged matrix of a direct solver, arrays (g, ...), or None."""
 
     triangles: Array
     count: Array
@@ -33,8 +34,11 @@ class Lists(eqx.Module):
 
 
 def make_lists(scene: Scene, start: np.ndarray, x: np.ndarray, explicit: np.ndarray, merged: bool) -> Lists:
-    """Lists for stretches of steps from positions `start` (n, 3) on that end at `x` (g, s, n, 3), of which
-    those that are `explicit` (g, s) visit what lies between."""
+    """Build the contact lists of all stretches of steps of a run.
+
+    `start` (n, 3): positions in m at the start; `x` (g, s, n, 3): positions in m at the end of each step;
+    `explicit` (g, s): whether a step is explicit, so that it also uses positions between its ends; `merged`:
+    whether the solver needs the merged matrix."""
     contact = scene.contact
     assert contact is not None
     search = Search(contact, np.asarray(scene.bending.nodes))
@@ -52,8 +56,9 @@ def make_lists(scene: Scene, start: np.ndarray, x: np.ndarray, explicit: np.ndar
 def _met(
     scene: Scene, search: Search, before: np.ndarray, x: np.ndarray, explicit: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of triangles (c, 2), sorted, that are near in some of the steps from `before` to `x`
-    (s, n, 3), and which ways are folded."""
+    """Find the candidate pairs of the steps from `before` to `x` (s, n, 3).
+
+    Returns the sorted pairs of triangles (c, 2), and the flags `folded` (w,) as in `Candidates`."""
     contact, n = scene.contact, len(search.faces)
     assert contact is not None
     keys, folded = [np.zeros(0, np.int64)], np.zeros(len(search.fan_triangles), bool)
@@ -78,7 +83,7 @@ def _apart(contact, start: Array, end: Array) -> Array:
 
 
 def _merged(merger: Merger, found: list[np.ndarray]) -> Merged:
-    """Places of all stretches, with the same room."""
+    """Build the merged matrices of all stretches, with equal capacity."""
     room = FEWEST
     while True:
         merged = [merger.merge(pairs, room) for pairs in found]
@@ -89,11 +94,11 @@ def _merged(merger: Merger, found: list[np.ndarray]) -> Merged:
 
 
 def with_lists(scene: Scene, lists: Lists | None, near: Near | None) -> Scene:
-    """The scene of one stretch, with its `lists` and an empty list of sites `near`."""
+    """Insert the `lists` of one stretch, and an empty site list `near`, in the scene."""
     if lists is None or near is None:
         return scene
     assert scene.contact is not None
-    # Recorded steps were found to pass through nothing, so nobody asks how far other folds turn.
+    # The run has checked that its steps pass through nothing, so a replay does not use these fold angles.
     unknown = jnp.full_like(scene.contact.candidates.theta, jnp.nan), jnp.asarray(jnp.nan, float)
     candidates = Candidates(lists.triangles, lists.count, near.around, lists.folded, *unknown)
     scene = eqx.tree_at(lambda s: s.contact.candidates, scene, candidates)
@@ -104,8 +109,10 @@ def with_lists(scene: Scene, lists: Lists | None, near: Near | None) -> Scene:
 
 
 def near_step(scene: Scene, old: Array, new: Array, between: Array | bool) -> Scene:
-    """The scene of a stretch at one step, which is recorded to end at positions `new` (n, 3) and visits what
-    lies `between` these and `old` ones, or not."""
+    """Build the site list of one step in the scene of its stretch.
+
+    `old`, `new` (n, 3): recorded positions in m at the ends of the step; `between`: whether the step also
+    uses positions between them."""
     if scene.contact is None:
         return scene
     reach = SLACK * scene.contact.range + jnp.where(between, motion(old, new), 0.0)
@@ -116,7 +123,7 @@ def near_step(scene: Scene, old: Array, new: Array, between: Array | bool) -> Sc
 
 
 def as_listed(scene: Scene, listed: Scene) -> Scene:
-    """The scene with the lists of another one."""
+    """Return the scene with the contact lists of another scene."""
     if scene.contact is None or listed.contact is None:
         return scene
     theirs = listed.contact.candidates, listed.contact.near, listed.pattern.contact

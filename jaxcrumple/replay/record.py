@@ -1,4 +1,4 @@
-"""What a run leaves behind for its replay."""
+"""The record of a run for its replay."""
 
 import warnings
 
@@ -20,20 +20,21 @@ from jaxcrumple.solvers.log import Trail
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import EXPLICIT, HISTORY, State
 
-# Steps of a stretch, and the least number of stretches that a record has room for.
+# Steps of a stretch, and smallest capacity of a record in stretches.
 STRETCH, FEWEST = 64, 4
-# Newton's error in a run that is recorded, as a share of what a step may leave.
+# Newton tolerance of a recorded run as a share of the tolerated local error.
 RECORDED_SHARE = 1e-4
-# A record's memory at the end of its run, in that of its steps: these, joined, and in stretches.
+# Memory of a record at the end of its run, in units of the memory of its steps: it also holds them joined and
+# in stretches.
 COPIES = 4.0
 
 
 class Steps(eqx.Module):
-    """Accepted steps in stretches (g, s), of which some at the end may not be `valid`.
+    """Hold accepted steps in stretches (g, s); padding at the end is not `valid`.
 
-    From time `t` s of size `h` s, in a `stage` with an `order`; `past` (g, s, 6): sizes in s of the steps
-    before; `frame`: number of the frame that the step ends with, or that of all frames; `x` (g, s, n, 3) m:
-    positions at its end.
+    `t` s: time at the start of a step; `h` s: its size; `stage` and `order`; `past` (g, s, 6): sizes in s of
+    the previous steps; `frame`: index of the frame at the end of the step, or the number of frames if there
+    is none; `x` (g, s, n, 3) m: positions at the end of the step.
     """
 
     valid: Array
@@ -47,12 +48,12 @@ class Steps(eqx.Module):
 
 
 class Record(eqx.Module):
-    """A run as its accepted steps; `simulate(..., record=True)` makes one for `replay`.
+    """Hold the accepted steps of a run; `simulate(..., record=True)` builds it for `replay`.
 
-    `scene` of the run, and the state `start` it began with; `t` (f,) s: times of its frames; `steps`;
-    `lists`, and an empty list of sites `near` with room for those of a step, or None without contact;
-    `explicit`, `linear` and `rho_infinity` as the run's solver has them, and whether it has `inertia`;
-    `stages`: those in which it made steps; `snaps` (64,) s: when it began to snap, then infinity.
+    `scene` of the run, and its first state `start`; `t` (f,) s: times of the frames; `steps`; `lists` and
+    `near`: contact lists of the stretches, and an empty site list with the capacity for a step, or None
+    without contact; `explicit`, `linear`, `rho_infinity` and `inertia`: as in the run's solver; `stages`:
+    stages of the steps; `snaps` (64,) s: times at which snaps begin, padded with infinity.
     """
 
     scene: Scene
@@ -70,7 +71,7 @@ class Record(eqx.Module):
 
 
 class Recorder:
-    """Collects the steps of one run that begins with a state.
+    """Collect the steps of one run from the state `start`.
 
     **Raises:** ValueError for a scheme that cannot be recorded.
     """
@@ -84,13 +85,13 @@ class Recorder:
         self.frames: list[tuple[float, int]] = []
 
     def solver(self, solver: Integrator) -> Integrator:
-        """The solver with which to run: its equations are solved so far that a replay meets their lists."""
+        """Return the solver for the run, with a Newton tolerance so small that the lists fit the replay."""
         if solver.implicit is None:
             return solver
         return eqx.tree_at(lambda s: s.implicit.newton_share, solver, jnp.asarray(RECORDED_SHARE))
 
     def extend(self, trail: Trail | None) -> None:
-        """Take the steps of one call."""
+        """Append the steps of one call; warn once if the record exceeds the memory."""
         assert trail is not None
         length = int(trail.length)
         self.trails.append([np.asarray(part[:length]) for part in trail[:-1]])
@@ -105,11 +106,11 @@ class Recorder:
             )
 
     def frame(self, t: float) -> None:
-        """A frame at time `t` s follows the steps so far."""
+        """Add a frame at time `t` s after the steps so far."""
         self.frames.append((t, sum(len(trail[0]) for trail in self.trails)))
 
     def finished(self, scene: Scene, solver: Integrator) -> Record | None:
-        """The record, or None where no step was made; the scene is that of the last call."""
+        """Build the record, or return None for a run without steps. `scene`: the scene of the last call."""
         if not sum(len(trail[0]) for trail in self.trails):
             return None
         x, end, h, stage, order = (np.concatenate(parts) for parts in zip(*self.trails, strict=True))
@@ -145,7 +146,7 @@ class Recorder:
 
 
 def _past_steps(start: State, stage: np.ndarray, h: np.ndarray) -> np.ndarray:
-    """Sizes (k, 6) in s of the steps before each, newest first, as the history of the run had them."""
+    """Return the sizes (k, 6) in s of the steps before each step, newest first, as in the run's history."""
     past, before = np.array(start.history.steps), int(start.stage)
     rows = np.empty((len(h), HISTORY))
     for k, (here, size) in enumerate(zip(stage, h, strict=True)):
@@ -159,8 +160,7 @@ def _past_steps(start: State, stage: np.ndarray, h: np.ndarray) -> np.ndarray:
 
 
 def _in_stretches(part: np.ndarray) -> np.ndarray:
-    """An array (k, ...) in stretches (g, s, ...), of which there are a power of two; the last row is
-    repeated."""
+    """Reshape an array (k, ...) to stretches (g, s, ...), padded with its last row; g is a power of two."""
     size = STRETCH * doubled(FEWEST, -(-len(part) // STRETCH))
     rest = np.broadcast_to(part[-1], (size - len(part), *part.shape[1:]))
     return np.concatenate([part, rest]).reshape(-1, STRETCH, *part.shape[1:])

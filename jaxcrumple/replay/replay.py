@@ -1,4 +1,4 @@
-"""`replay`: recorded steps taken again as one function with derivatives in both modes."""
+"""`replay`: repeat recorded steps as one function with forward and reverse derivatives."""
 
 from typing import Any, NamedTuple
 
@@ -16,13 +16,15 @@ from jaxcrumple.solvers.implicit.bdf import step_formula
 from jaxcrumple.solvers.linear.base import Factor
 from jaxcrumple.state import EXPLICIT, HISTORY, IMPLICIT, State, check_state
 
-# Relative rounding of the numbers of a scene that is made twice.
+# Relative difference that rounding causes between two builds of the same scene.
 SAME = 1e-9
 
 
 class Replay(NamedTuple):
-    """Frames at times `t` (f,) s: positions `x` (f, n, 3) m, velocities `v` (f, n, 3) m/s, rest curvatures
-    `p` (f, h) or None; `error`: largest last update of a step's Newton iteration over the sheet's size."""
+    """Hold frames at times `t` (f,) s.
+
+    Positions `x` (f, n, 3) m, velocities `v` (f, n, 3) m/s, rest curvatures `p` (f, h) or None; `error`: over
+    all steps, the largest last Newton update in units of the sheet's size."""
 
     t: Array
     x: Array
@@ -40,34 +42,34 @@ def replay(
     solve: bool = True,
     checkpoint: bool = False,
 ) -> Replay:
-    """Take the steps of a recorded run again, with the same sizes, orders, stages and lists of contact, in
-    a scene with other numbers or from another `start`.
+    """Repeat the steps of a recorded run in a scene with other numbers, or from another `start`.
 
-    A function of every number in `scene` and of the positions, velocities and rest curvatures of `start`,
-    with derivatives in both modes. They are those of what is computed with all decisions held fixed: of the
-    step sizes, of the instant of a change of stage or of a buckling there is no derivative. Beyond the
-    instants in `record.snaps` they follow one way through the snap, among others. All is NaN where a step
-    finds no solution, or the sheet is further than a quarter of a contact range from where it was recorded,
-    or without `solve` the scene is another one.
+    Step sizes, orders, stages and contact lists are those of the record. The result is a function of every
+    number in `scene` and of the positions, velocities and rest curvatures of `start`, with forward and
+    reverse derivatives. The derivatives hold all decisions of the run fixed: step sizes, and times of stage
+    changes and of buckling, have none. After the times in `record.snaps` they follow one of several possible
+    paths through a snap. All results are NaN if a step has no solution, if the sheet is more than a quarter
+    of a contact range from its recorded position, or if `solve` is False and scene or start differ from the
+    run's.
 
     **Arguments:**
 
-    - `solve`: whether steps are solved again, each to rounding. Without, `scene` and `start` must be those
-      of the run: positions are the recorded ones, and derivatives are had for less, also where errors grow
-      so fast that the run cannot be repeated.
-    - `checkpoint`: derivatives keep positions (n, 3) alone for each step, and a state for each stretch of
-      64, from which velocities and rest curvatures are computed anew.
+    - `solve`: solve each step again, to rounding. If False, `scene` and `start` must be those of the run,
+      and positions are the recorded ones. Derivatives then cost less, and also exist if errors grow so fast
+      that the run cannot be repeated.
+    - `checkpoint`: keep for derivatives only positions (n, 3) of each step, and a state for each stretch of
+      64 steps. Velocities and rest curvatures are recomputed from these.
 
-    A run that ended early has the frames that it reached.
+    **Returns:** a `Replay`; after a run that ended early, with the frames that the run reached.
 
-    **Raises:** ValueError for what is no scene or no record, or a state of another scene.
+    **Raises:** ValueError for an object that is not a scene or not a record, or for a state of another scene.
     """
     if not isinstance(scene, Scene):
         raise ValueError(f"scene must be a Scene, not {type(scene).__name__}.")
     if not isinstance(record, Record):
         raise ValueError(
             f"record must be the record of simulate(..., record=True), not {type(record).__name__}; a run "
-            "without a step has none."
+            "without steps has no record."
         )
     start = record.start if start is None else start
     check_state(scene, start)
@@ -82,7 +84,7 @@ def replay(
 
 
 def _differ(run: tuple[Scene, Point], record: Record) -> Array:
-    """Whether a scene and where it starts have other numbers than the recorded ones."""
+    """Return whether scene and start have numbers that differ from the recorded ones."""
     scene, here = run
     start = record.start
     recorded = record.scene, Point(start.x, start.v, start.p)
@@ -99,7 +101,7 @@ def _numbers(tree: Any) -> list[Array]:
 
 
 class _Way(NamedTuple):
-    """Whether steps are solved, and whether derivatives keep less of them."""
+    """Hold the options `solve` and `checkpoint` of `replay`."""
 
     solve: bool
     checkpoint: bool
@@ -122,8 +124,10 @@ def _frames_jvp(primals, tangents):
 
 
 class _Kept(NamedTuple):
-    """What derivatives need of the points of each stretch: `rows` (g, 6 + s, ...) of them, oldest first; or
-    the `past` ones alone (g, 6, ...), newest first, and positions `x` (g, s, n, 3)."""
+    """Hold the points of each stretch for derivatives.
+
+    Either `rows` (g, 6 + s, ...): all points, oldest first; or `past` (g, 6, ...): the points before the
+    stretch, newest first, and positions `x` (g, s, n, 3)."""
 
     rows: Point | None
     past: Point | None
@@ -131,7 +135,7 @@ class _Kept(NamedTuple):
 
 
 def _forward(scene: Scene, past: Point, record: Record, way: _Way) -> tuple[_Kept, Point, Array]:
-    """Points of each stretch, the frames, and the largest error."""
+    """Compute the points of each stretch, the frames, and the largest error."""
 
     def stretch(carry, part: tuple[Steps, Lists | None]):
         past, frames, error = carry
@@ -154,7 +158,7 @@ def _forward(scene: Scene, past: Point, record: Record, way: _Way) -> tuple[_Kep
 
 
 def _solved(scene: Scene, past: Point, steps: Steps, record: Record) -> tuple[Point, Array]:
-    """The points (s, ...) that the steps of a stretch end with, each solved, and the largest error."""
+    """Solve the steps of a stretch; return the points (s, ...) at their ends, and the largest error."""
 
     def advance(carry, step: Steps):
         past, error, factor = carry
@@ -171,7 +175,7 @@ def _solved(scene: Scene, past: Point, steps: Steps, record: Record) -> tuple[Po
 
 
 def _taken(scene: Scene, past: Point, steps: Steps, x: Array, record: Record) -> Point:
-    """The points (s, ...) that the steps of a stretch end with, whose positions are `x` (s, n, 3)."""
+    """Compute the points (s, ...) at the ends of a stretch's steps from their positions `x` (s, n, 3)."""
 
     def advance(past: Point, part: tuple[Steps, Array]):
         step, x = part
@@ -182,12 +186,12 @@ def _taken(scene: Scene, past: Point, steps: Steps, x: Array, record: Record) ->
 
 
 def _rows(past: Point, points: Point) -> Point:
-    """The `past` points (6, ...), newest first, and the `points` (s, ...) after them, oldest first."""
+    """Join the `past` points (6, ...), newest first, and the later `points` (s, ...); oldest first."""
     return jax.tree.map(lambda old, new: jnp.concatenate([old[::-1], new]), past, points)
 
 
 def _tangent(scene: Scene, by_scene: Scene, past: Point, by_past: Any, record: Record, kept: _Kept) -> Point:
-    """What the frames change by, linear in the changes `by_scene` and `by_past`."""
+    """Compute the tangents of the frames, linear in the tangents `by_scene` and `by_past`."""
     filled = jax.tree.map(lambda a: jnp.zeros_like(a), past)
     moved = jax.tree.map(
         lambda zero, by: zero if by is None else by, filled, by_past, is_leaf=lambda leaf: leaf is None
@@ -216,7 +220,7 @@ def _tangent(scene: Scene, by_scene: Scene, past: Point, by_past: Any, record: R
             return _pushed(moved, by_new), by_new
 
         last, points = jax.lax.scan(advance, moved, (jnp.arange(len(steps.h)), steps))
-        # A stretch that ends early is the last one, or those behind it are empty.
+        # Only empty stretches follow one that ends early, so that `last` is not used after it.
         return (last, _filled(frames, steps, points)), None
 
     frames = _first_frames(newest(moved), record)
@@ -229,18 +233,18 @@ def _workspace(scene: Scene, record: Record) -> Factor | None:
 
 
 def _pushed(past: Point, new: Point) -> Point:
-    """The points (6, ...) with a new one in front."""
+    """Insert a new point at the front of the points (6, ...)."""
     return jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), past, new)
 
 
 def _first_frames(point: Point, record: Record) -> Point:
-    """Frames before any step."""
+    """Return frames that all hold the first point."""
     count = len(record.t)
     return jax.tree.map(lambda a: jnp.broadcast_to(a, (count, *a.shape)), point)
 
 
 def _filled(frames: Point, steps: Steps, points: Point) -> Point:
-    """The frames with those among `points` (s, ...) that steps end with."""
+    """Insert in the frames those of `points` (s, ...) whose steps end at a frame."""
 
     def fill(frames: Array, points: Array) -> Array:
         ends = jnp.arange(len(frames))[:, None] == steps.frame
@@ -258,7 +262,7 @@ def _implicit(step: Steps, record: Record) -> RecordedStep:
 
 
 def _by_stage(step: Steps, record: Record, implicit, explicit):
-    """What the function of a step's stage returns; nothing is compiled for stages that the run lacks."""
+    """Call the function of the step's stage; stages without steps in the run are not compiled."""
     if EXPLICIT not in record.stages:
         return implicit()
     if record.stages == (EXPLICIT,):
@@ -269,7 +273,7 @@ def _by_stage(step: Steps, record: Record, implicit, explicit):
 def _step(
     scene: Scene, past: Point, step: Steps, record: Record, factor: Factor | None
 ) -> tuple[Point, Array, Factor | None]:
-    """The point after a step, how well its equations are solved, and the last factor."""
+    """Return the point after a step, the error of its solution, and the last factor."""
     old = newest(past)
     scene = near_step(scene, old.x, step.x, step.stage == EXPLICIT)
 
@@ -287,7 +291,7 @@ def _step(
 
 
 def _point(scene: Scene, past: Point, step: Steps, x: Array, record: Record) -> Point:
-    """The point after a step that ends at positions `x` (n, 3)."""
+    """Return the point after a step that ends at positions `x` (n, 3)."""
     old = newest(past)
 
     def implicit() -> Point:
@@ -313,7 +317,7 @@ def _step_change(
     record: Record,
     workspace: Factor | None,
 ) -> Point:
-    """What the point `new` after a step changes by; `listed`: the scene with the lists of its stretch."""
+    """Compute the tangent of the point `new` after a step; `listed`: the scene with its stretch's lists."""
     old = newest(past)
     listed = near_step(listed, old.x, new.x, step.stage == EXPLICIT)
 

@@ -1,20 +1,20 @@
-"""The snaps of a run: when it accelerates so much that inertia decides where it goes."""
+"""The snaps of a run: times of accelerations so large that inertia determines the motion."""
 
 import numpy as np
 
 from jaxcrumple.scene import Scene
 
-# A snap begins where positions would be off by this share of the sheet's size if inertia were left out (the
-# acceleration monitor's "displacement"), and is over when that did not happen for so many inertial times.
+# A snap begins when the position error of neglected inertia (measure "displacement" of the acceleration
+# monitor) exceeds HIGH of the sheet's size. It ends when the error stays below for REST inertial times.
 HIGH, REST = 1e-2, 10.0
-# Times that a record keeps: as many for every run, so that none compiles anew.
+# Number of times in a record. It is the same for every run, so that a new record does not recompile.
 MOST = 64
 
 
 def snaps(scene: Scene, x: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Instants in s at which snaps begin, the first 64 of them, and infinity for those that are fewer.
+    """Return the times (64,) in s at which the first 64 snaps begin, padded with infinity.
 
-    **Arguments:** positions `x` (k, n, 3) in m at the ends of accepted steps `t` (k,) in s.
+    **Arguments:** `x` (k, n, 3): positions in m at the ends of accepted steps; `t` (k,): their times in s.
     """
     found = np.full(MOST, np.inf)
     if len(t) < 3:

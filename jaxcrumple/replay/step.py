@@ -1,5 +1,4 @@
-"""One recorded step as a function to be differentiated: its equations, solved to rounding, and what their
-solution changes by."""
+"""One recorded step as a differentiable function: the solution of its equations, and its derivative."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -17,15 +16,15 @@ from jaxcrumple.solvers.linear.solve import solve_once
 from jaxcrumple.state import ImplicitStep as Equations
 from jaxcrumple.system import linearize, residual, rest_curvature
 
-# Newton's iteration ends with an update below TIGHT of the sheet's size, or below SETTLED where rounding no
-# longer lets it shrink. A tangent serves while it shrinks updates by CONTRACTION at least.
+# Newton's iteration ends with an update below TIGHT of the sheet's size, or below SETTLED if rounding stops
+# its decrease. It refactorises when an update exceeds CONTRACTION times the previous one.
 TIGHT, SETTLED, CONTRACTION, MOST_ITERATIONS = 1e-12, 1e-8, 0.05, 40
-# Relative residual of the equations that derivatives solve.
+# Relative residual of the linear systems of derivatives.
 LINEAR = 1e-12
 
 
 class Point(NamedTuple):
-    """Where a sheet is: positions `x` m and velocities `v` m/s (n, 3), rest curvatures `p` (h,) or None."""
+    """Hold positions `x` m and velocities `v` m/s (n, 3), and rest curvatures `p` (h,) or None."""
 
     x: Array
     v: Array
@@ -33,9 +32,9 @@ class Point(NamedTuple):
 
 
 class RecordedStep(NamedTuple):
-    """A recorded implicit step of `h` s from time `t` by a `formula`.
+    """Hold a recorded implicit step of `h` s from time `t` with a `formula`.
 
-    Where `past` points are wanted: newest first, along a leading axis (6,).
+    Methods take `past` points along a leading axis (6,), newest first.
     """
 
     formula: Formula
@@ -43,16 +42,16 @@ class RecordedStep(NamedTuple):
     h: Array
 
     def unknown(self, scene: Scene, old: Array, new: Array) -> Array:
-        """The unknown (n, 3) of the formula between positions `old` and `new`, with supports in place."""
+        """Return the unknown (n, 3) of the formula for positions `old` and `new`; supports are satisfied."""
         return self._supported(scene, old, self.formula.theta * new + (1.0 - self.formula.theta) * old)
 
     def residual(self, scene: Scene, past: Point, unknown: Array) -> Array:
-        """Residual (n, 3) in N, zero where supports prescribe the motion."""
+        """Compute the residual (n, 3) in N; it is zero for components that supports prescribe."""
         x = self._supported(scene, newest(past).x, unknown)
         return residual(scene, self._equations(scene, past), x)[0]
 
     def point(self, scene: Scene, past: Point, unknown: Array) -> Point:
-        """The point after the step."""
+        """Return the point after the step."""
         old, step = newest(past), self._equations(scene, past)
         x = self._supported(scene, old.x, unknown)
         p = None if old.p is None else rest_curvature(scene, step, x)
@@ -60,7 +59,7 @@ class RecordedStep(NamedTuple):
         return jax.tree.map(lambda mean, old: old + (mean - old) / self.formula.theta, mean, old)
 
     def tangent(self, scene: Scene, past: Point, unknown: Array) -> Array:
-        """Values (size,) of the residual's tangent."""
+        """Compute the values (size,) of the residual's tangent."""
         return linearize(scene, self._equations(scene, past), unknown)[1]
 
     def _equations(self, scene: Scene, past: Point) -> Equations:
@@ -75,7 +74,7 @@ class RecordedStep(NamedTuple):
 
 
 def newest(past: Point) -> Point:
-    """The last of the points."""
+    """Return the newest of the points."""
     return Point(*jax.tree.map(lambda a: a[0], tuple(past)))
 
 
@@ -92,9 +91,12 @@ class _Carry(NamedTuple):
 def solved(
     scene: Scene, step: RecordedStep, past: Point, guess: Array, linear: AbstractLinearSolver, last: Factor
 ) -> tuple[Point, Array, Factor]:
-    """The point after a step, the last update of Newton's iteration from the positions `guess` (n, 3) over
-    the sheet's size: how far it is from the root at most, infinite if it found none; and the factor that it
-    ended with. It begins with that of the `last` step, which serves where the guess is good."""
+    """Solve a step by Newton's iteration from the positions `guess` (n, 3).
+
+    The iteration starts with the factor `last` of the previous step, which suffices for a good guess.
+
+    **Returns:** the point after the step; the last update in units of the sheet's size, an upper bound of the
+    error, infinite without convergence; and the last factor."""
 
     def body(carry: _Carry) -> _Carry:
         def renewed() -> Factor:
@@ -106,7 +108,7 @@ def solved(
         solution = linear.solve(scene.pattern, factor, values, -value.reshape(-1), FORCING)
         update = jnp.max(jnp.abs(solution.x)) / scene.length_scale
         contraction = update / carry.update
-        # What an old factor says of a way that is not short is nothing.
+        # A large update with the factor of the previous step is not reliable.
         astray = (carry.iterations == 0) & ~carry.renew & ~(update < SETTLED)
         moved = carry.x + solution.x.reshape(carry.x.shape)
         stalled = (update < SETTLED) & (contraction > 0.5) & carry.own
@@ -140,10 +142,10 @@ def changed(
     linear: AbstractLinearSolver,
     start: Factor,
 ) -> Point:
-    """What the point after a step changes by, linear in the changes of scene and past, which are the second
-    ones of the pairs; `here` gives a scene its lists, `new` (n, 3): the positions after the step.
+    """Compute the tangent of the point after a step by the implicit function theorem.
 
-    By the implicit function theorem, from the equations as they are solved.
+    `scenes` and `pasts`: pairs of a value and its tangent, in which the result is linear; `here`: function
+    that inserts the contact lists in a scene; `new` (n, 3): positions after the step.
     """
     (scene, by_scene), (past, by_past) = scenes, pasts
     listed = here(scene)

@@ -1,4 +1,4 @@
-"""Energies and forces at a start, term by term: what is not finite, and what is out of balance."""
+"""Evaluate energies and forces at a start, term by term: find values that are not finite, and imbalance."""
 
 from typing import NamedTuple
 
@@ -12,16 +12,16 @@ from jaxcrumple.solvers.contact.reallocate import batch_with_contacts
 from jaxcrumple.solvers.start import check_gap, check_start, has_near_layers
 from jaxcrumple.state import State
 
-# Force on a node below which a sheet counts as in balance: that of a spring at this strain. Rounding of
-# positions leaves 1e-12 of it and less.
+# A sheet counts as in balance if no nodal force exceeds that of a spring at this strain. Rounding of
+# positions causes at most 1e-12 of that force.
 STRAIN = 1e-9
 
 
 class Balance(NamedTuple):
-    """Forces at a start.
+    """Balance of forces at a start.
 
-    `in_balance`: whether no free node is pushed; `lines`: in words, the largest net force and each term that
-    pushes a node, with its energy.
+    `in_balance`: whether no net force above rounding acts on a free node; `lines`: text on the largest net
+    force and on each term that exerts a force, with its energy.
     """
 
     in_balance: bool
@@ -29,7 +29,7 @@ class Balance(NamedTuple):
 
 
 class _Term(NamedTuple):
-    """Energy in J, None where its zero is arbitrary, and nodal forces (n, 3) in N."""
+    """Energy in J, or None if its zero is arbitrary; nodal forces (n, 3) in N."""
 
     name: str
     energy: float | None
@@ -37,12 +37,12 @@ class _Term(NamedTuple):
 
 
 def start_balance(scene: Scene, state: State) -> Balance:
-    """Energies and forces of a start at rest.
+    """Evaluate energies and forces of a start at rest.
 
-    One small program is compiled for them, and lists of contact where layers are within its range.
+    This compiles one small program. It builds neighbour lists only if layers lie within the range of contact.
 
-    **Raises:** ValueError for a start that `check_start` or `check_gap` refuses, or for a term whose energy
-    or force is not finite, with its node.
+    **Raises:** ValueError if `check_start` or `check_gap` refuses the start, or if the energy or force of a
+    term is not finite; the message names the term and, for a force, the node.
     """
     check_start(scene, state)
     if scene.contact is not None:
@@ -68,7 +68,7 @@ def _terms(scene: Scene, state: State) -> list[_Term]:
 
 @eqx.filter_jit
 def _evaluated(scene: Scene, x: Array, p: Array | None, t: Array) -> dict[str, tuple[Array, Array]]:
-    """Energies in J and nodal forces (n, 3) in N by the name of their term."""
+    """Return energies in J and nodal forces (n, 3) in N by name of the term."""
     hinges, rest = scene.bending.hinges(x), scene.rest_curvature(p)
     terms = {
         "stretch": (scene.membrane.energy(x), scene.membrane.force(x)),
@@ -115,7 +115,7 @@ def _balance(scene: Scene, state: State, terms: list[_Term]) -> Balance:
 
 
 def _largest(force: np.ndarray) -> tuple[int, float]:
-    """The node with the largest force (n, 3), and that force in N."""
+    """Return the node with the largest of the forces (n, 3), and its magnitude in N."""
     size = np.linalg.norm(force, axis=1)
     return int(np.argmax(size)), float(size.max())
 
@@ -127,7 +127,7 @@ def _pushes(scene: Scene, state: State, term: _Term) -> str:
 
 
 def _why(scene: Scene, state: State, name: str) -> str:
-    """How close to a wall or to itself the sheet starts."""
+    """Describe how close to a wall or to itself the sheet starts."""
     if name == "contact":
         assert scene.contact is not None
         gap, reach = float(scene.contact.gaps(state.x)[0]), float(scene.contact.range)

@@ -1,4 +1,4 @@
-"""What a configuration will run, in words, before it runs."""
+"""Describe and check a run before it starts."""
 
 from jaxcrumple._jax.memory import gigabytes, memory_limit
 from jaxcrumple.mesh.isotropy import patch_test
@@ -10,11 +10,11 @@ from jaxcrumple.state import initial_state
 
 
 def described(config: RunConfig) -> list[str]:
-    """Lines on scene, sheet, walls, contact, material, solver and end, and what the run may take.
+    """Describe scene, sheet, walls, contact, material, solver, end time and estimated cost, one per line.
 
-    What only the scene itself tells, such as a wall with no room for the sheet, `check_built` looks at.
+    `check_built` covers what only the built scene shows, such as a wall that leaves no room for the sheet.
 
-    **Raises:** `MeshError` for a mesh file that cannot be used.
+    **Raises:** `MeshError` for an unusable mesh file.
     """
     mesh, options = file_mesh(config), config.options
     nodes = config.nodes if mesh is None else mesh.n_nodes
@@ -35,9 +35,9 @@ def described(config: RunConfig) -> list[str]:
 
 
 def check_built(config: RunConfig) -> Balance:
-    """Build the scene, evaluate energies and forces at its start, and refuse one from which no run can start.
+    """Build the scene, evaluate energies and forces at its start, and refuse an impossible start.
 
-    **Raises:** ValueError with cause and cure, also for a run that surely exceeds the memory.
+    **Raises:** ValueError with cause and cure, also if the run certainly exceeds the memory.
     """
     require_config(config)
     setup = config.build()
@@ -78,5 +78,5 @@ def _duration(seconds: float) -> str:
 
 
 def _rounded(value: float) -> str:
-    """Two digits, without a power of ten."""
+    """Format with two significant digits, without an exponent."""
     return f"{float(f'{value:.2g}'):.10g}"

@@ -1,4 +1,4 @@
-"""What a run is asked to do: options of scene, material and solver, validated before any work."""
+"""Configure a run: options of scene, material and solver, validated before any work."""
 
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
@@ -28,13 +28,14 @@ from jaxcrumple.solvers.switch import Switch
 
 
 class Options(BaseModel):
-    """Base of all option groups: unknown names are errors."""
+    """Base of all option groups; unknown names are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class MaterialOptions(Options):
-    """The sheet's material, in SI units; see `Material`. A `preset` has the numbers that are not given."""
+    """The material of the sheet in SI units; see `Material`. A `preset` supplies values that are not
+    given."""
 
     preset: str | None = Field(None, examples=list(presets.PRESETS))
     young_modulus: Pascal = 1e9
@@ -56,7 +57,7 @@ class MaterialOptions(Options):
     @model_validator(mode="before")
     @classmethod
     def _completed(cls, values: Any) -> Any:
-        """Numbers of the preset, if one is named; `yield_c0` replaces the default yield curvature."""
+        """Fill in the values of the named preset; `yield_c0` replaces the default yield curvature."""
         if not isinstance(values, Mapping):
             return values
         named, thickness = _preset_of(values.get("preset")), _positive(values.get("thickness"))
@@ -68,7 +69,7 @@ class MaterialOptions(Options):
         return values
 
     def build(self) -> Material:
-        """The material."""
+        """Build the material."""
         return Material(**self.model_dump(exclude={"preset"}))
 
 
@@ -80,7 +81,7 @@ def _preset_of(name: Any) -> presets.Preset | None:
 
 
 def _positive(value: Any) -> float | None:
-    """A positive length in m of what an option may be given as, None for what is none."""
+    """Convert the value of an option to a positive length in m; None if it is not one."""
     try:
         length = float(LENGTH.si(value))
     except (TypeError, ValueError, OverflowError):
@@ -89,8 +90,8 @@ def _positive(value: Any) -> float | None:
 
 
 class SolverOptions(Options):
-    """The integrator, None meaning the scheme's own; see `integrator` and `Switch`. `ledger`:
-    whether the work ledger is kept, see `Work`."""
+    """The integrator; None selects the default of the scheme, see `integrator` and `Switch`. `ledger`:
+    whether to keep the work ledger, see `Work`."""
 
     rtol: float = Field(1e-2, gt=0, lt=0.1, allow_inf_nan=False)
     scheme: Scheme = "hybrid"
@@ -106,14 +107,14 @@ class SolverOptions(Options):
     ledger: bool = False
 
     def switch(self) -> Switch:
-        """When the scheme changes the stage; what is None is the scheme's own."""
+        """Build the stage switch; None selects the default of the scheme."""
         given: dict[str, Any] = {"up": self.switch_up, "down": self.switch_down, "dwell": self.dwell}
         given |= {"ignore": self.ignore, "minimum_steps": self.minimum_steps}
         given = {key: value for key, value in given.items() if value is not None}
         return switch_of(self.scheme, self.rtol, **given)
 
     def build(self) -> Integrator:
-        """The integrator."""
+        """Build the integrator."""
         return integrator(
             self.rtol,
             scheme=self.scheme,
@@ -126,7 +127,7 @@ class SolverOptions(Options):
 
 
 class RunConfig(Options):
-    """One run, complete: enough to start it again and get the same answer."""
+    """The complete configuration of one run: running it again gives the same answer."""
 
     scene: str
     nodes: int = Field(1000, ge=16, le=1_000_000)
@@ -138,7 +139,7 @@ class RunConfig(Options):
     solver: SolverOptions = SolverOptions()
 
     def build(self) -> Setup:
-        """Mesh, scene and start of the run."""
+        """Build mesh, scene and initial positions of the run."""
         entry = SCENES[self.scene]
         return entry.build(self.nodes, self.seed, material=self.material.build(), **self.options)
 
@@ -151,11 +152,11 @@ def configure(
     t_end: float | str | None = None,
     settings: Sequence[str] | Mapping[str, Any] = (),
 ) -> RunConfig:
-    """Configuration of a run of a named scene.
+    """Configure a run of a named scene.
 
-    **Arguments:** `settings`: "key=value" strings, or a mapping, of any option of the scene, the
-    material or the solver; `t_end`, by default the scene's own. Numbers are in SI units; strings may carry
-    a unit, e.g. "0.25 mm".
+    **Arguments:** `settings`: options of scene, material or solver, as "key=value" strings or as a mapping;
+    `t_end`: end time, by default that of the scene. Numbers are in SI units; strings may carry a unit,
+    e.g. "0.25 mm".
 
     **Raises:** `ConfigError` for an unknown scene, key or value.
     """
@@ -164,7 +165,7 @@ def configure(
 
 
 def with_settings(values: Mapping[str, Any], settings: Sequence[str] | Mapping[str, Any]) -> dict[str, Any]:
-    """Values of a run by group, as in a scene file, with single options replaced, given by name alone.
+    """Replace single options, given by name, in values that are grouped as in a scene file.
 
     **Raises:** `ConfigError` for an unknown scene or name.
     """
@@ -181,11 +182,12 @@ def with_settings(values: Mapping[str, Any], settings: Sequence[str] | Mapping[s
 
 
 def complete(values: Mapping[str, Any], context: Any = None) -> RunConfig:
-    """Configuration of values by group: `scene`, `nodes`, `seed`, `t_end`, `frames`, and mappings `options`,
-    `material` and `solver`. What is missing is the scene's default. `context`: where the values are from, for
-    validators of the scene's options.
+    """Validate grouped values and fill in the defaults of the scene.
 
-    **Raises:** `ConfigError` for what is unknown or impossible.
+    **Arguments:** `values`: `scene`, `nodes`, `seed`, `t_end`, `frames`, and mappings `options`, `material`
+    and `solver`; `context`: origin of the values, for validators of the scene's options.
+
+    **Raises:** `ConfigError` for unknown names and impossible values.
     """
     entry = _entry(values.get("scene"))
     groups = _groups(entry)
@@ -194,7 +196,7 @@ def complete(values: Mapping[str, Any], context: Any = None) -> RunConfig:
     for name, part in parts.items():
         _check_table(name, part)
     if parts["solver"].get("scheme") == "paper" and "damping" in entry.options.model_fields:
-        # The paper's scheme has its internal damping (25), unless another is asked for.
+        # The paper's scheme uses the internal damping (25) by default.
         parts["options"] = {"damping": "paper", **parts["options"]}
     checked = {name: validated(model, parts[name], (name,), context) for name, model in groups.items()}
     checked["options"] = checked["options"].model_dump()
@@ -226,7 +228,7 @@ def _groups(entry: SceneEntry) -> dict[str, type[BaseModel]]:
 
 
 def _check_names(values: Mapping[str, Any], groups: Mapping[str, type[BaseModel]]) -> None:
-    """Refuse a name at the top that belongs elsewhere or nowhere."""
+    """Refuse an unknown name at the top level, or one that belongs into a table."""
     for key in values:
         owners = [name for name, model in groups.items() if key in model.model_fields]
         if key not in RunConfig.model_fields:
@@ -242,19 +244,19 @@ def _check_table(name: str, part: Any) -> None:
 
 
 def _place(group: str, model: type[BaseModel], message: str) -> Place:
-    """Where a value is of which a builder's message speaks first."""
+    """Locate the option that a builder's message names in its first word."""
     first = message.split(maxsplit=1)[0]
     return (group, first) if first in model.model_fields else (group,)
 
 
 def unit_named(scene: str, name: str) -> Unit | None:
-    """The unit of an option of a scene, its material or the solver; None for one without, or none such."""
+    """Return the unit of an option of scene, material or solver; None for an unknown option or no unit."""
     fields = [model.model_fields.get(name) for model in _groups(_entry(scene)).values()]
     return next((unit_of(field) for field in fields if field is not None), None)
 
 
 def pairs(settings: Sequence[str] | Mapping[str, Any]) -> list[tuple[str, Any]]:
-    """Names and values of settings or "key=value" strings; the word none stands for None."""
+    """Return names and values of settings or "key=value" strings; the word none means None."""
     found: list[tuple[str, Any]] = []
     for text in () if isinstance(settings, Mapping) else settings:
         key, equals, value = text.partition("=")
@@ -271,6 +273,6 @@ def _group(key: str, groups: Mapping[str, type[BaseModel]]) -> str:
             return name
     if key in ("nodes", "seed", "t_end"):
         flag = key.replace("_", "-")
-        raise ConfigError(f"{key!r} is not a setting: give it beside them, on the command line as --{flag}.")
+        raise ConfigError(f"{key!r} is not a setting: give it as an argument, on the command line --{flag}.")
     known = ["frames", "nodes", "seed", *(field for model in groups.values() for field in model.model_fields)]
     raise ConfigError(f"setting {key!r} is unknown{nearest(key, known)}")

@@ -1,4 +1,4 @@
-"""Progress of a run on the console."""
+"""Show the progress of a run on the console."""
 
 import time
 
@@ -9,14 +9,14 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from jaxcrumple.simulate import ENERGIES, explain
 from jaxcrumple.state import STAGES, State
 
-# Seconds between lines where the output is not a terminal.
+# Seconds between lines if the output is not a terminal.
 INTERVAL = 10.0
-# Share of the way below which the time left is anybody's guess.
+# Share of the simulated time below which the remaining time cannot be estimated.
 EARLY = 0.05
 
 
 class ConsoleProgress:
-    """Shows time, stage, step size, energy, time left, and why a run is slow when it is."""
+    """Show time, stage, step size, energy, remaining time, and the cause if a run is slow."""
 
     def __init__(self, t_end: float, console: Console):
         self.console = console
@@ -41,7 +41,7 @@ class ConsoleProgress:
         self.bar.stop()
 
     def frame(self, index: int, state: State) -> None:
-        """Frames are not shown."""
+        """Ignore frames."""
 
     def chunk(self, state: State, history: pd.DataFrame, events: pd.DataFrame, frames: int) -> None:
         """Update the bar, or print a line."""
@@ -55,7 +55,7 @@ class ConsoleProgress:
         self.bar.update(self.task, completed=float(state.t), description=text)
         for event in events.itertuples():
             if "quasistatic" not in (event.origin, event.to):
-                continue  # With inertia throughout, snaps go to explicit steps and back by the dozen.
+                continue  # With inertia throughout, snaps switch to explicit steps and back dozens of times.
             self._say(f"t = {event.t:.5f} s: {event.origin} -> {event.to}")
         now = time.perf_counter()
         if not self.console.is_terminal and now - self.printed > INTERVAL:
@@ -68,7 +68,7 @@ class ConsoleProgress:
         self.bar.console.print(line, soft_wrap=True, highlight=False, markup=False)
 
     def _left(self, state: State, total: float) -> str:
-        """Time left at the mean speed since the first steps, in words."""
+        """Estimate the remaining time from the mean speed since the first steps, as text."""
         gone = float(state.t) - self.first
         if gone < EARLY * total:
             return ""

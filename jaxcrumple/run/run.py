@@ -1,4 +1,4 @@
-"""One run from a configuration to a folder of results, resumable at any moment."""
+"""Run a configuration into a folder of results, resumable after any interruption."""
 
 import importlib.metadata
 import resource
@@ -29,16 +29,16 @@ from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.solvers.start import check_start, pierced
 from jaxcrumple.state import RESULTS, STAGES, State, initial_state
 
-# How many checkpoints are kept to the end, beside the last one.
+# Number of checkpoints that remain at the end, beside the last one.
 KEPT = 4
 PACKAGES = ("jaxcrumple", "jax", "jaxlib", "numpy", "scipy", "diffrax", "equinox")
 
 
 class Recorder:
-    """Saves frames, rows and checkpoints as a run goes on.
+    """Save frames, rows and checkpoints during a run.
 
-    Each checkpoint comes with all rows and frames before it, so that a run that is killed goes on from the
-    last one as if nothing had been written since. A few of them are kept to the end.
+    Each checkpoint commits all earlier rows and frames, so a killed run resumes from the last checkpoint as
+    if nothing had been written since. About KEPT checkpoints remain at the end.
     """
 
     def __init__(self, folder: RunDirectory, frames: int, spent: dict[str, float]):
@@ -53,7 +53,7 @@ class Recorder:
         self.checkpoint(state, keep=index % self.stride == 0)
 
     def chunk(self, state: State, history: pd.DataFrame, events: pd.DataFrame, frames: int) -> None:
-        """Append rows, then checkpoint."""
+        """Append rows, then write a checkpoint."""
         numbers = history.assign(stage=[STAGES.index(stage) for stage in history["stage"]])
         self.folder.append_history(numbers.to_numpy(float))
         self.folder.append_events(events.to_dict("records"))
@@ -64,7 +64,7 @@ class Recorder:
         self.folder.commit(state, {"t": float(state.t), "spent": self.totals()}, keep=keep)
 
     def totals(self) -> dict[str, float]:
-        """Wall and CPU seconds of this run, earlier sessions included."""
+        """Return wall and CPU seconds of this run, including earlier sessions."""
         wall, cpu = self.start
         return {
             "run_s": self.spent.get("run_s", 0.0) + time.perf_counter() - wall,
@@ -81,14 +81,15 @@ def start_run(
     max_seconds: float | None = None,
     wait: bool = False,
 ) -> dict[str, Any]:
-    """Run a configuration into a new folder `out`; returns its summary. After `max_seconds` of wall time,
-    compiling left out, it ends with the result "budget", and `resume_run` goes on with it.
+    """Run a configuration into a new folder `out` and return the summary.
 
-    `wait`: for another process that writes into the folder to end, instead of refusing.
+    **Arguments:** `max_seconds`: wall time, without compile time, after which the run ends with the result
+    "budget"; `resume_run` continues it. `wait`: whether to wait for another process that writes into the
+    folder, instead of refusing.
 
-    **Raises:** `RunDirectoryError` when `out` is taken or cannot be written, ValueError for
-    impossible options or a sheet that starts behind a wall or within itself; both before the run begins, and
-    nothing is left on the disk.
+    **Raises:** `RunDirectoryError` if `out` exists or cannot be written; ValueError for impossible options,
+    or a sheet that starts behind a wall or intersects itself. Both occur before the run begins and leave
+    nothing on the disk.
     """
     solver = config.solver.build()
     RunDirectory.check_free(out)
@@ -109,13 +110,14 @@ def resume_run(
     max_seconds: float | None = None,
     wait: bool = False,
 ) -> dict[str, Any]:
-    """Go on with the run in folder `out` from its last checkpoint, for at most `max_seconds` of wall time;
-    returns its summary.
+    """Resume the run in folder `out` from its last checkpoint and return the summary.
 
-    All files of the run are checked first. One that was successful is only read. `wait` as in `start_run`.
+    This first verifies all files of the run. For a successful run it only reads the summary.
 
-    **Raises:** `RunDirectoryError` when `out` is not a run, is damaged, or is being written by another
-    process; ValueError when its options no longer make the scene it began with.
+    **Arguments:** `max_seconds`, `wait`: as in `start_run`.
+
+    **Raises:** `RunDirectoryError` if `out` is not a run, is damaged, or another process writes into it;
+    ValueError if the options no longer build the original scene.
     """
     path = RunDirectory.open(out).path
     with writing(path, wait=wait):
@@ -135,11 +137,12 @@ def resume_run(
 
 
 def repair_run(out: str | Path) -> float | None:
-    """Take the run in folder `out` back to the last moment before all damage; its time in s.
+    """Take the run in folder `out` back to the last undamaged checkpoint, and return its time in s.
 
-    The run goes on from there by `resume_run`, to the same answer. Returns None where nothing is damaged.
+    `resume_run` continues from there to the same answer. Returns None if nothing is damaged.
 
-    **Raises:** `RunDirectoryError` when `out` is not a run, is being written, or nothing of it is sound.
+    **Raises:** `RunDirectoryError` if `out` is not a run, another process writes into it, or no part is
+    sound.
     """
     path = Path(out)
     if not (path.is_dir() and is_run(path)):
@@ -156,19 +159,19 @@ def repair_run(out: str | Path) -> float | None:
 
 
 def _parts(config: RunConfig, setup: Setup) -> tuple[dict[str, Any], Mesh, Stiffness, dict[str, Any]]:
-    """What the folder of a run holds from the beginning."""
+    """Return the initial contents of the folder of a run."""
     scene = setup.scene
     stiffness = np.asarray(scene.membrane.stiffness), np.asarray(scene.bending.stiffness)
     return config.model_dump(mode="json"), setup.mesh, stiffness, sketch_scene(scene, setup.x)
 
 
 def _begin_again(path: Path) -> None:
-    """Empty the folder of a run of which only `run.json` is sound, so that it starts from t = 0."""
+    """Empty the folder of a run in which only `run.json` is sound; the run then restarts at t = 0."""
     try:
         contents = read_contents(path, (path / RUN).read_bytes())
     except (OSError, RunDirectoryError) as error:
         raise RunDirectoryError(
-            f"nothing in {str(path)!r} is sound enough to go on from ({error}); start the run again in a new "
+            f"no part of {str(path)!r} is sound, so the run cannot resume ({error}); start it again in a new "
             "folder"
         ) from error
     folder = RunDirectory(path, contents, Manifest())
@@ -179,9 +182,9 @@ def _begin_again(path: Path) -> None:
 
 
 def _built_again(config: RunConfig, folder: RunDirectory, *, mesh: bool = True) -> Setup:
-    """The run's mesh, scene and start.
+    """Build the run's mesh, scene and start again.
 
-    **Raises:** ValueError if they are not those that the run began with.
+    **Raises:** ValueError if they differ from those of the original run.
     """
     require_config(config)
     setup = config.build()
@@ -191,7 +194,7 @@ def _built_again(config: RunConfig, folder: RunDirectory, *, mesh: bool = True) 
     if other:
         raise RunDirectoryError(
             f"the options of {str(folder.path)!r} now make another {other} than the run began with: a file "
-            "that they name was changed since, or another version of the program builds it differently. "
+            "that they name was changed, or this version of the program builds it differently. "
             "Restore the file or the version, or start a new run in another folder"
         )
     return setup
@@ -205,7 +208,7 @@ def _same_mesh(saved: Mesh, now: Mesh) -> bool:
 
 
 def stored_config(folder: RunDirectory) -> RunConfig:
-    """The configuration a folder's run was started with."""
+    """Read the configuration of the run in a folder."""
     try:
         return RunConfig(**folder.config)
     except ValueError as error:
@@ -213,8 +216,7 @@ def stored_config(folder: RunDirectory) -> RunConfig:
 
 
 class Ending(NamedTuple):
-    """How a run ended: its last good state, the name of its result and what it means, and seconds spent on
-    compiling."""
+    """End of a run: last valid state, name of the result, its explanation, and compile time in s."""
 
     state: State
     result: str
@@ -232,7 +234,7 @@ def _go(
     observers: Sequence[Observer],
     max_seconds: float | None,
 ) -> dict[str, Any]:
-    """Simulate what is left, and write the ending: the summary last, so that it speaks for all the rest."""
+    """Simulate the remaining time and write all files; the summary comes last, so it certifies the others."""
     recorder = Recorder(folder, config.frames, spent)
     times, reached = frame_times(config.t_end, config.frames), len(folder.frames())
     if reached == len(times):
@@ -249,7 +251,7 @@ def _go(
             max_seconds=max_seconds,
         )
         ending = Ending(solution.state, solution.result, solution.message, solution.compile_s)
-        # The last good state is worth keeping even where no frame was due.
+        # Save the last valid state even between frames.
         recorder.checkpoint(ending.state)
     export(folder)
     summary = _summary(config, folder, setup, ending, recorder)
@@ -258,7 +260,7 @@ def _go(
 
 
 def _ended(setup: Setup, state: State) -> Ending:
-    """The ending of a run that had saved all its frames when it was cut off."""
+    """Return the ending of a run that was interrupted after its last frame."""
     scene = setup.scene
     through = scene.contact is not None and len(pierced(scene, state.x))
     result = RESULTS.intersected if through else RESULTS.success
@@ -266,7 +268,7 @@ def _ended(setup: Setup, state: State) -> Ending:
 
 
 def export(folder: RunDirectory, name: str = FILM) -> Path | None:
-    """Write the film for ParaView from the saved frames, if there are any; its path."""
+    """Write the saved frames as a file for ParaView; return its path, or None without frames."""
     if not folder.frames():
         return None
     mesh, stiffness = folder.load_sheet()
@@ -276,9 +278,9 @@ def export(folder: RunDirectory, name: str = FILM) -> Path | None:
 
 
 def film(folder: RunDirectory) -> Path | None:
-    """Path of a run's film, which is written again where it is missing or damaged; None without frames.
+    """Return the path of a run's ParaView file; write it again if it is missing or damaged.
 
-    One that has not ended gets a film of its frames so far, under another name.
+    For an unfinished run, write the frames so far under another name. Returns None without frames.
     """
     if not folder.finished:
         return export(folder, PARTIAL)
@@ -322,24 +324,24 @@ def _summary(
 
 
 def check_resumable(config: RunConfig, given: Collection[str], out: str | Path) -> None:
-    """Refuse to resume a folder whose run was asked something else.
+    """Refuse to resume a run whose options differ from the requested ones.
 
-    Of `config` only what was `given` counts, by name.
+    Only the options of `config` named in `given` count.
 
-    **Raises:** `ConfigError` naming the options that differ, and their values.
+    **Raises:** `ConfigError` that names the differing options and their values.
     """
     stored, wanted = flat(stored_config(RunDirectory.open(out))), flat(config)
     different = [name for name in ("scene", *given) if stored.get(name) != wanted[name]]
     if different:
         was = ", ".join(f"{name} = {stored.get(name)!r}, not {wanted[name]!r}" for name in different)
         raise ConfigError(
-            f"{out} was started with {was}; resume it with the values it has (or with none at all), or start "
+            f"{out} was started with {was}; resume it with the values it has (or without any), or start "
             "a new run in another folder."
         )
 
 
 def flat(config: RunConfig) -> dict[str, Any]:
-    """All options by name."""
+    """Return all options by name."""
     top = config.model_dump()
     groups = [top.pop(name) for name in ("options", "material", "solver")]
     return top | {name: value for group in groups for name, value in group.items()}

@@ -1,4 +1,4 @@
-"""Scene files: one run of a named scene as TOML, read, and written with all values."""
+"""Read and write scene files: one run of a named scene as TOML."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,14 +16,14 @@ def read_scene_file(
 ) -> RunConfig:
     """Read a file of `scene`, `nodes`, `seed`, `t_end`, `frames`, and tables `options`, `material`, `solver`.
 
-    All but `scene` have defaults. Numbers are in SI units, strings may carry a unit, e.g. "0.25 mm"; the word
-    none stands for None. Paths in the file are taken from its folder.
+    All entries except `scene` have defaults. Numbers are in SI units; strings may carry a unit, such
+    as "0.25 mm". The word none means None. Paths in the file are relative to its folder.
 
-    **Arguments:** `settings`: as in `configure`, `top`: `nodes`, `seed` or `t_end`; both replace what the
-    file has.
+    **Arguments:** `settings`: as in `configure`; `top`: `nodes`, `seed` or `t_end`. Both replace values of
+    the file.
 
-    **Raises:** `ConfigError` for a file that cannot be read, or with unknown or impossible entries: it names
-    file, place and, where it is known, line.
+    **Raises:** `ConfigError` if the file cannot be read or has unknown or impossible entries; it names the
+    file, the entry and, if known, the line.
     """
     path = Path(path)
     values, text = read_toml(path)
@@ -39,17 +39,18 @@ def read_scene_file(
 
 
 def write_scene_file(config: RunConfig | Mapping[str, Any], path: str | Path) -> None:
-    """Write a configuration, or that of a loaded run (`Run.config`), complete, as a scene file, which
-    `read_scene_file` reads back as an equal one.
+    """Write a complete configuration, e.g. `Run.config` of a loaded run, as a scene file.
 
-    **Raises:** `RunDirectoryError` where it cannot be written.
+    `read_scene_file` reads it back as an equal configuration.
+
+    **Raises:** `RunDirectoryError` if the file cannot be written.
     """
     config = config if isinstance(config, RunConfig) else RunConfig(**config)
     write_bytes(Path(path), tomlkit.dumps(plain(config.model_dump())).encode())
 
 
 def plain(value: Any) -> Any:
-    """Values as TOML has them: the word none for None, and no empty lists, which are defaults."""
+    """Convert values for TOML: the word none for None; omit empty lists, which are defaults."""
     if isinstance(value, Mapping):
         return {key: plain(part) for key, part in value.items() if part != []}
     if isinstance(value, list):
@@ -58,7 +59,7 @@ def plain(value: Any) -> Any:
 
 
 def _with_none(value: Any) -> Any:
-    """Values with None for the word none."""
+    """Replace the word none by None."""
     if isinstance(value, Mapping):
         return {key: _with_none(part) for key, part in value.items()}
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""The physical figures of a run's summary."""
+"""Compute the physical quantities of a run's summary."""
 
 from typing import Any
 
@@ -21,7 +21,7 @@ _energies = eqx.filter_jit(energies)
 
 
 def physics(setup: Setup, state: State, history: pd.DataFrame, events: pd.DataFrame) -> dict[str, Any]:
-    """The figures of a run's last state, and what each stage took."""
+    """Compute the quantities of a run's last state, and the share and step sizes of each stage."""
     rejected = np.asarray(state.counters.rejected)
     return {
         "rejected_by_cause": {cause: int(rejected[i]) for i, cause in enumerate(CAUSES)},
@@ -32,7 +32,7 @@ def physics(setup: Setup, state: State, history: pd.DataFrame, events: pd.DataFr
 
 
 def figures(setup: Setup, state: State) -> dict[str, Any]:
-    """Energies in J, strains, penetration and gaps in m, creases in m of a state."""
+    """Compute energies in J, strains, penetration, gap and crease length in m of a state."""
     mesh, scene = setup.mesh, with_contacts(setup.scene, state.x)
     x = np.asarray(state.x)
     p = np.asarray(scene.rest_curvature(state.p))
@@ -52,8 +52,7 @@ def figures(setup: Setup, state: State) -> dict[str, Any]:
 
 
 def _contacts(mesh: Mesh, scene: Scene, x: np.ndarray) -> dict[str, Any]:
-    """Intersections at the end; smallest distance in m of two sites that touch (None if none do), how many
-    do."""
+    """Count intersections and contacts; find the smallest distance in m of two sites in contact, or None."""
     found: dict[str, Any] = {"intersections": count_intersections(mesh, x), "min_gap": None, "contacts": 0}
     if scene.contact is None:
         return found
@@ -62,9 +61,9 @@ def _contacts(mesh: Mesh, scene: Scene, x: np.ndarray) -> dict[str, Any]:
 
 
 def dynamic_share(state: State, events: pd.DataFrame) -> dict[str, float]:
-    """Share of the simulated time and of the steps that the stages with inertia took.
+    """Compute the share of simulated time and of steps in the stages with inertia.
 
-    A run without a change of stage spent all its time in the one it ended in.
+    A run without a change of stage spent all its time in its final stage.
     """
     total, last, spent = float(state.t), 0.0, 0.0
     for event in events.itertuples():
@@ -79,7 +78,7 @@ def dynamic_share(state: State, events: pd.DataFrame) -> dict[str, float]:
 
 
 def _quantiles(history: pd.DataFrame) -> dict[str, dict[str, float]]:
-    """Step sizes at 10, 50 and 90 % by stage."""
+    """Compute the 10, 50 and 90 % quantiles of the step size in s, by stage."""
     steps = history[history["kind"] == 0]
     shares = {"10%": 0.1, "50%": 0.5, "90%": 0.9}
     return {

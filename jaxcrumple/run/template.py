@@ -1,4 +1,4 @@
-"""A scene file with all defaults, and comments that tell what they are."""
+"""Write a scene file with all defaults, explained in comments."""
 
 import typing
 from types import NoneType
@@ -14,15 +14,15 @@ from jaxcrumple.run.config import RunConfig, configure
 from jaxcrumple.run.scene_file import plain
 from jaxcrumple.scenes import SCENES
 
-# Numbers without a unit in words.
+# Description of numbers without a unit.
 _NUMBERS = {float: "a number", int: "a whole number"}
 
 
 def template(scene: str) -> str:
-    """Text of a scene file: every option with its default, its unit and its choices.
+    """Return the text of a scene file: every option with default, unit and choices.
 
-    Tables of other kinds, and those that may be listed any number of times, such as a wall of `custom`,
-    follow as comments.
+    Comments at the end show alternative tables, and tables that may occur several times, such as a wall of
+    `custom`.
 
     **Raises:** `ConfigError` for an unknown scene.
     """
@@ -38,7 +38,7 @@ def template(scene: str) -> str:
 def _fill(
     place: Any, model: type[BaseModel], values: dict[str, Any], inner: dict[str, type[BaseModel]]
 ) -> None:
-    """Add values of a model to a document or a table, tables last."""
+    """Add the values of a model to a document or a table, with tables last."""
     for name, value in sorted(values.items(), key=lambda one: isinstance(one[1], dict)):
         field = model.model_fields[name]
         if not isinstance(value, dict):
@@ -56,7 +56,7 @@ def _fill(
 
 
 def _model_of(field: Any, value: dict[str, Any]) -> type[BaseModel]:
-    """The model of a field that has a value's names."""
+    """Return the model of a field that has the names of a value."""
     return next(one for one in models_in(field.annotation) if set(value) <= set(one.model_fields))
 
 
@@ -65,7 +65,7 @@ def _documented(model: type[BaseModel]) -> list[str]:
 
 
 def _comment(field: Any) -> str:
-    """Unit, choices and tables that a field takes, in words."""
+    """Describe unit, choices and tables of a field."""
     unit = unit_of(field)
     parts = [_NUMBERS[kind] for kind in _NUMBERS if unit is None and _may_be(field.annotation, kind)]
     parts += [] if unit is None else [unit.symbol]
@@ -73,7 +73,7 @@ def _comment(field: Any) -> str:
     parts += [f"{{{', '.join(one.model_fields)}}}" for one in models_in(field.annotation)]
     if NoneType in typing.get_args(field.annotation):
         parts.append("none")
-    # A default alone says no more than the value does.
+    # A comment with a single part and no unit repeats the value.
     return " or ".join(parts) if len(parts) > 1 or unit is not None else ""
 
 
@@ -82,14 +82,14 @@ def _may_be(annotation: Any, kind: type) -> bool:
 
 
 def _choices(annotation: Any) -> list[Any]:
-    """Words that an annotation allows, those in its tables excluded."""
+    """Return the words that an annotation allows, except those inside its tables."""
     if typing.get_origin(annotation) is typing.Literal:
         return list(typing.get_args(annotation))
     return [word for part in typing.get_args(annotation) for word in _choices(part)]
 
 
 def _listed(place: str, model: type[BaseModel]) -> typing.Iterator[str]:
-    """Commented tables of each kind that a table of a model, or a list of it, may be."""
+    """Yield, as comments, a table of each kind that a field of a model, or a list in it, accepts."""
     for name, field in model.model_fields.items():
         many = typing.get_origin(field.annotation) is list
         for one in models_in(field.annotation):

@@ -1,4 +1,4 @@
-"""Scenes by name: the paper's experiments, probes of the physics of crumpling, and two that snap through."""
+"""Ready-made scenes: the experiments of the paper, further tests of crumpling, and two snap-throughs."""
 
 from jaxcrumple.scenes.arch import arch
 from jaxcrumple.scenes.axial import axial, cylindrical

@@ -1,4 +1,4 @@
-"""A clamped shallow arch that snaps through under a dead load at midspan."""
+"""Clamped shallow arch that snaps through under a dead load at midspan."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +13,7 @@ from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import smooth_imperfection
 from jaxcrumple.scenes.snap import check_positive, fixed, sheet_material
 
-# Height of a lattice row in units of the spacing.
+# Distance between lattice rows, in units of the node spacing.
 ROW = np.sqrt(3.0) / 2.0
 
 
@@ -32,20 +32,21 @@ def arch(
     damping: str = "central",
     material: Material | None = None,
 ) -> Setup:
-    """A strip whose stress-free shape is a circular arch over the x axis, clamped at both ends.
+    """Build a strip clamped at both ends, whose stress-free shape is a circular arch over the x axis.
 
-    The load, shared by the nodes of the middle row, pushes down (-z). It grows linearly for the time
-    `ramp` and then stays. The arch snaps at a symmetric limit point, not by swaying: the compression there
-    is $(2.7 \\pi/L)^2 B$ at most, short of the $(2.86 \\pi/L)^2 B$ at which it could sway. When the rise f is
-    many thicknesses the limit load is near $237 B f/L^3$, with span L and the bending stiffness
-    $B = (8/9) \\kappa W$ of a narrow strip (shallow-arch theory): 0.14 N by default, and 0.126 N with the
-    mesh and the imperfection that are the defaults. Inverted, the arch bears half of that load and more.
+    The nodes of the middle row share the load, which points down (-z). The load grows linearly during the
+    time `ramp` and then stays constant. The arch snaps at a symmetric limit point, not by asymmetric
+    buckling: its compression there is at most $(2.7 \\pi/L)^2 B$, below the $(2.86 \\pi/L)^2 B$ of asymmetric
+    buckling. For a rise f of many thicknesses the limit load is near $237 B f/L^3$, with span L and the
+    bending stiffness $B = (8/9) \\kappa W$ of a narrow strip (shallow-arch theory). That is 0.14 N for the
+    default values; the default mesh and imperfection give 0.126 N. The inverted arch supports at least half
+    of that load.
 
-    **Arguments:** about `nodes` nodes of a triangular lattice in rows across the strip; the last two rows
-    at each end are fixed, and the arch spans from midway between one pair to midway between the other;
-    `length` (between these planes), `width`, `rise` in m; `load` in N; `ramp` in s; `imperfection`:
-    largest height in m of a smooth, stress-free deviation from the circle, drawn with `seed`; `plastic`:
-    whether the sheet may yield; `damping`: "central" or "paper"; `material`: default `Material()`.
+    **Arguments:** `nodes`: approximate number of nodes of a triangular lattice with rows across the strip;
+    `length`, `width`, `rise` in m; `load` in N; `ramp` in s; `imperfection`: largest height in m of a smooth,
+    stress-free deviation from the circle, random with `seed`; `plastic`: whether the sheet may yield;
+    `damping`: "central" or "paper"; `material`: default `Material()`. The last two rows at each end are
+    fixed; the ends of `length` lie midway between these two rows.
     """
     check_positive(length=length, width=width, rise=rise, load=load, ramp=ramp)
     if not (np.isfinite(imperfection) and imperfection >= 0):
@@ -71,9 +72,10 @@ def arch(
 
 
 def strip(nodes: int, length: float, width: float) -> tuple[Mesh, np.ndarray]:
-    """Flat lattice strip along x with rows across it, and the row (n,) of each node, counted from 0.
+    """Return a flat lattice strip along x with rows across it, and the row (n,) of each node, from 0.
 
-    The count of rows is odd, so that one lies at midspan; half a row at each end is beyond `length`.
+    The number of rows is odd, so that one row is at midspan. The outermost rows are half a row distance
+    beyond the ends of `length`.
     """
     spacing = np.sqrt(length * width / (nodes * ROW))
     per_row = max(round(width / spacing + 0.5), 2)
@@ -86,9 +88,10 @@ def strip(nodes: int, length: float, width: float) -> tuple[Mesh, np.ndarray]:
 
 
 def on_arc(along: np.ndarray, across: np.ndarray, length: float, rise: float) -> np.ndarray:
-    """Points (n, 3) of a flat strip bent to the circle that rises by `rise` over the chord `length`.
+    """Bend a flat strip to a circle with sagitta `rise` over the chord `length`; return points (n, 3) in m.
 
-    The chord's ends lie at x = -length/2 and length/2, z = 0; what is beyond them goes on along the circle.
+    The ends of the chord are at x = -length/2 and length/2, z = 0. Points beyond them continue along the
+    circle.
     """
     radius = (length**2 / 4 + rise**2) / (2 * rise)
     angle = 2 * np.arcsin(length / (2 * radius)) * along / length

@@ -1,11 +1,10 @@
-"""Axial crumpling: a sheet rolled into a cylinder and compressed along it, once or again and again (Figs.
-7, 9).
+"""Axial crumpling: a sheet, rolled into a cylinder, is compressed along its axis, once or repeatedly.
 
-After Gottesman et al., Commun. Phys. 1, 70 (2018), in the paper's manner: a cylinder shrinks around the
-upright sheet until it is rolled up, two planes come together along the axis, all walls open, the sheet's
-edge is pulled back to where it was when the sheet was flat, and planes flatten it. A rolled sheet snaps all
-the time that it is compressed, and every step is a short one: so it is done fast, with kinetic energy below
-1 % of the rest.
+The experiment is that of Gottesman et al., Commun. Phys. 1, 70 (2018), simulated as in the paper (Figs. 7,
+9). One cycle: a cylinder shrinks around the upright sheet and rolls it up; two planes compress it along the
+axis; all walls open; springs pull the sheet's edge back to its position in the flat sheet; two planes flatten
+it. A rolled sheet snaps throughout the compression, so that all time steps are short. The compression is
+therefore fast; the kinetic energy stays below 1 % of all other energy.
 """
 
 import math
@@ -24,18 +23,21 @@ from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions, upright, wrapped
 from jaxcrumple.scenes.snap import check_gap, check_positive
 
-# Radius, in units of its size, to which a sheet is bent that is to be rolled up: so it bends to one side.
+# Initial bending radius, in units of the sheet size. It makes the sheet roll up to one side.
 BIAS = 2.0
-# Range of self-contact in thicknesses where none is given: the free edges of a rolled sheet meet edge on,
-# where sites are few, and with a range of one thickness hold each other apart only just.
+# Default range of self-contact in thicknesses. The free edges of a rolled sheet meet edge-on, where contact
+# sites are sparse; a range of one thickness barely keeps them apart.
 RANGE = 2.0
-# Springs that pull the edge home grow from the first to the second stiffness in N/m.
+# First and last stiffness in N/m of the springs that pull the edge back.
 PULL = (1e-3, 100.0)
 
 
 class AxialTimes(NamedTuple):
-    """How long each part of a cycle lasts, in s: to `roll` the sheet up, to `compress` it, to `open` the
-    walls, to `unfold` it, to `flatten` it, and to let it `rest` without a pull."""
+    """Durations in s of the parts of a cycle.
+
+    `roll`: roll the sheet up; `compress`: compress it; `open`: open the walls; `unfold`: pull its edge back;
+    `flatten`: flatten it; `rest`: wait without springs.
+    """
 
     roll: float = 0.1
     compress: float = 0.2
@@ -46,11 +48,11 @@ class AxialTimes(NamedTuple):
 
     @property
     def cycle(self) -> float:
-        """Time of a whole cycle."""
+        """Duration of a whole cycle in s."""
         return sum(self)
 
     def ends(self, cycles: int) -> FloatArray:
-        """Times (cycles, 6) in s at which the parts of each cycle end."""
+        """Return the times (cycles, 6) in s at which the parts of each cycle end."""
         return self.cycle * np.arange(cycles)[:, None] + np.cumsum(self)
 
 
@@ -68,13 +70,14 @@ def cylindrical(
     compress: float = TIMES.compress,
     **options: Any,
 ) -> Setup:
-    """A square sheet of edge `size`, rolled up in a cylinder of `radius`, that is compressed to `height`.
+    """Build a square sheet, rolled up in a cylinder, that two planes compress along the axis.
 
-    **Arguments:** `nodes` of the random mesh made with `seed`; `size`, `radius`, `height` in m; `compress`:
-    how long that takes in s; `options` of the sheet: `SheetOptions`.
+    **Arguments:** `nodes`, `seed`: number of nodes and seed of the random mesh; `size`: edge of the sheet,
+    `radius` of the cylinder, `height` after the compression in m; `compress`: duration in s; `options` of the
+    sheet: `SheetOptions`.
 
-    **Raises:** ValueError for lengths or a time that are not positive, a height that is not less than the
-    size, or a cylinder that the sheet is too wide for.
+    **Raises:** ValueError for lengths or a time that are not positive, a height >= the size, or a cylinder
+    too small for the sheet.
     """
     check_positive(size=size, radius=radius, height=height, compress=compress)
     _check_height(height, size)
@@ -116,15 +119,17 @@ def axial(
     rest: float = TIMES.rest,
     **options: Any,
 ) -> Setup:
-    """A square sheet that is rolled up, compressed, unfolded and flattened, again and again; damage stays.
+    """Build a square sheet that is repeatedly rolled up, compressed, unfolded and flattened.
 
-    **Arguments:** `nodes` of the random mesh made with `seed`; `cycles`: how often; `size`, `radius` of the
-    roll, `height` to which it is compressed, `gap` between the planes that flatten it in m; `roll`,
-    `compress`, `open`, `unfold`, `flatten`, `rest`: how long each part of a cycle lasts in s; `options` of
-    the sheet: `SheetOptions`.
+    Damage accumulates over the cycles.
 
-    **Raises:** ValueError for lengths or times that are not positive, less than one cycle, a height that is
-    not less than the size, or a gap that the sheet fills.
+    **Arguments:** `nodes`, `seed`: number of nodes and seed of the random mesh; `cycles`: number of cycles;
+    `size`: edge of the sheet, `radius` of the roll, `height` after the compression, `gap` between the
+    flattening planes in m; `roll`, `compress`, `open`, `unfold`, `flatten`, `rest`: durations in s of the
+    parts of a cycle (`AxialTimes`); `options` of the sheet: `SheetOptions`.
+
+    **Raises:** ValueError for lengths or times that are not positive, less than one cycle, a height >= the
+    size, or a gap of at most two thicknesses.
     """
     if cycles < 1:
         raise ValueError(f"cycles = {cycles!r} must be at least 1.")
@@ -148,16 +153,16 @@ def _check_height(height: float, size: float) -> None:
 
 
 def curled(vertices: FloatArray, radius: float) -> FloatArray:
-    """Points (n, 3) of a flat sheet rolled upwards about the y axis to a `radius` in m."""
+    """Roll a flat sheet upwards about the y axis to a `radius` in m; return points (n, 3) in m."""
     turned = np.array([1.0, 1.0, -1.0])
     return turned * wrapped(turned * vertices, radius, along="y")
 
 
 def _walls(wide: float, radius: float, height: float, thin: float, ends: FloatArray) -> list[AbstractShape]:
-    """The cylinder, the two planes that compress along z, and the two that flatten along y.
+    """Build the cylinder, the two planes that compress along z, and the two planes that flatten along y.
 
-    All are `wide` open, except as they close: to `radius`, `height`, and twice `thin` in m; `ends` (cycles,
-    6) in s are those of the parts of each cycle.
+    When open, all walls are at the distance `wide` in m. When closed, they leave a `radius`, a `height` and
+    twice `thin` in m. `ends` (cycles, 6): end times in s of the parts of each cycle.
     """
     cycles, moments = len(ends), [0.0, *ends.ravel()]
     round_ = [wide] + cycles * [radius, radius, wide, wide, wide, wide]
@@ -175,8 +180,10 @@ def _corners(moments: list[float], values: list[float]) -> Corners:
 
 
 def _pull(mesh: Mesh, x: FloatArray, times: AxialTimes, cycles: int) -> ElementEnergy:
-    """Springs between the nodes of the edge and their places `x` (n, 3) in the flat sheet, which grow
-    while it is unfolded, stay while it is flattened, and are gone after that."""
+    """Build springs from the nodes of the edge to their positions `x` (n, 3) in m in the flat sheet.
+
+    The stiffness grows during `unfold`, is constant during `flatten`, and is zero otherwise.
+    """
     edge = jnp.asarray(mesh.boundary_nodes)
     shared = (jnp.asarray(times.ends(cycles)[:, 2]), jnp.array([times.unfold, times.flatten]))
     begin, lasts = (jnp.tile(values, (len(edge), 1)) for values in shared)
@@ -184,8 +191,11 @@ def _pull(mesh: Mesh, x: FloatArray, times: AxialTimes, cycles: int) -> ElementE
 
 
 def _spring(x: Array, parameters: tuple[Array, Array, Array], t: Array) -> Array:
-    """Energy in J of one spring: `parameters` are its place (3,), the times (cycles,) in s at which it begins
-    to pull, and how long (2,) it grows and stays."""
+    """Return the energy in J of one spring.
+
+    `parameters`: its anchor (3,) in m, the start times (cycles,) in s, and the durations (2,) in s of growth
+    and of constant stiffness.
+    """
     home, begin, (grows, stays) = parameters
     since = t - begin
     low, high = PULL

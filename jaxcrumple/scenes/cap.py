@@ -1,4 +1,4 @@
-"""A shallow spherical cap on an immovable rim that turns inside out under a dead load at its apex."""
+"""Shallow spherical cap with a pinned rim that inverts under a dead load at its apex."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -28,17 +28,17 @@ def cap(
     damping: str = "central",
     material: Material | None = None,
 ) -> Setup:
-    """A disc whose stress-free shape is a cap of a sphere, its rim held in place but free to turn.
+    """Build a disc whose stress-free shape is a spherical cap, with a pinned rim (fixed, but free to rotate).
 
-    The rim is pinned because a clamped one, which keeps its slope, lets a cap so shallow spring back:
-    here the inverted cap is stable with and without the load. The load pushes down (-z), spread around
-    the apex as a paraboloid that is zero from the distance `patch` on; it grows linearly for the time
-    `ramp` and then stays. By default it passes the limit point near 0.195 N. The load's small `offset` from
-    the apex decides which way the cap tilts on its way through.
+    A cap as shallow as this one springs back if its rim is clamped. With a pinned rim the inverted cap is
+    stable with and without the load. The load points down (-z). It has the profile of a paraboloid around the
+    apex that is zero beyond the distance `patch`. It grows linearly during the time `ramp` and then stays
+    constant. With the default values it passes the limit point near 0.195 N. The small `offset` of the load
+    from the apex selects the direction in which the cap tilts during the snap.
 
-    **Arguments:** `nodes` of the random mesh made with `seed` and `sweeps` Lloyd sweeps; `radius` of the
-    rim, `rise`, `patch` and `offset` (along x) in m; `load` in N; `ramp` in s; `plastic`: whether the
-    sheet may yield; `damping`: "central" or "paper"; `material`: default `Material()`.
+    **Arguments:** `nodes`, `seed`, `sweeps`: number of nodes, seed and Lloyd sweeps of the random mesh;
+    `radius` of the rim, `rise`, `patch` and `offset` (along x) in m; `load` in N; `ramp` in s; `plastic`:
+    whether the sheet may yield; `damping`: "central" or "paper"; `material`: default `Material()`.
     """
     check_positive(radius=radius, rise=rise, load=load, patch=patch, ramp=ramp)
     if not np.isfinite(offset):
@@ -69,12 +69,12 @@ def cap(
 
 
 def on_sphere(points: np.ndarray, radius: float, rise: float) -> np.ndarray:
-    """Points (n, 3) over `points` (n, 2) on the sphere through the circle of `radius` and the apex."""
+    """Lift `points` (n, 2) in m to the sphere through the circle of `radius` and the apex: points (n, 3)."""
     sphere = (radius**2 + rise**2) / (2 * rise)
     height = np.sqrt(sphere**2 - np.sum(points**2, axis=1)) - (sphere - rise)
     return np.column_stack([points, height])
 
 
 def paraboloid(points: np.ndarray, patch: float) -> np.ndarray:
-    """1 at the origin, falling to 0 at the distance `patch`, for points (n, 2)."""
+    """Return the profile (n,) of a paraboloid at points (n, 2): 1 at the origin, 0 beyond `patch`."""
     return np.maximum(1.0 - np.sum(points**2, axis=1) / patch**2, 0.0)

@@ -1,4 +1,4 @@
-"""Scenes that can be run by name."""
+"""Catalogue of the scenes that the command line runs by name."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -20,19 +20,19 @@ from jaxcrumple.scenes.ridge import ridge
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.stamping import shell, shell_time, stamping, stamping_time
 
-# Least time in s at which a scene ends by default.
+# Least default end time of a scene in s.
 SOONEST = 1e-3
-# Options by name, and what is known of them.
+# Values of the options by name, and functions of them.
 Given = Mapping[str, Any]
 OfOptions = Callable[[Given], float]
 
 
 class SceneEntry(NamedTuple):
-    """A scene's function, its options, the time it `ends` by default (s) as a function of them, and one line
-    about it.
+    """Entry of a scene: its function `build`, its `options`, its default end time and a one-line `summary`.
 
-    `lasts`: the time in s, of the options, that a run cannot reach, and `why_it_ends` there; `walls`: what
-    confines the sheet, of the options, in words.
+    `ends`: default end time in s as a function of the options; `lasts`: time in s, as a function of the
+    options, that a run must end before, with the reason `why_it_ends`; `walls`: description of the walls, as
+    a function of the options.
     """
 
     build: Callable[..., Setup]
@@ -44,17 +44,17 @@ class SceneEntry(NamedTuple):
     walls: Callable[[Given], Sequence[str]] = lambda options: ()
 
     def end(self, given: Given) -> float:
-        """Time in s at which it ends by default, of the options, to nine digits."""
+        """Return the default end time in s for these options, to nine digits."""
         return float(f"{self.ends(given):.9g}")
 
     @property
     def t_end(self) -> float:
-        """Time in s at which it ends with all options as they are by default."""
+        """End time in s with all options at their defaults."""
         return self.end(self.options().model_dump())
 
 
 def _radial_lasts(given: Given) -> float:
-    """When the sphere of `radial` has shrunk to nothing."""
+    """Return the time in s at which the sphere of `radial` has zero radius."""
     return given["radius"] / given["speed"] if given["hold"] is None else math.inf
 
 
@@ -64,12 +64,15 @@ def _radial_walls(given: Given) -> Sequence[str]:
 
 
 def _way_back(given: Given) -> float:
-    """When the sphere of `unload` has its first radius again."""
+    """Return the time in s at which the sphere of `unload` has its initial radius again."""
     return 2.0 * max(given["radius"] - given["least"], 0.0) / given["speed"] + given["hold"]
 
 
 def _of(function: Callable[..., float], *names: str) -> OfOptions:
-    """A time, as a function of some of the options; what is none is left for the scene to refuse."""
+    """Return an end time as a function of the named options, at least `SOONEST`.
+
+    The scene itself refuses options that give no positive time.
+    """
     return lambda given: max(function(*(given[name] for name in names)), SOONEST)
 
 
@@ -82,7 +85,7 @@ def _always(t_end: float) -> OfOptions:
 
 
 def _told(*words: str) -> Callable[[Given], Sequence[str]]:
-    """Walls in words that take numbers of the options."""
+    """Return a function that inserts the options into the descriptions of walls."""
     return lambda given: [word.format(**given) for word in words]
 
 
@@ -93,32 +96,32 @@ SCENES: dict[str, SceneEntry] = {
         _always(2.6),
         "square sheet in a sphere that shrinks from 7.1 cm at 1 cm/s (Figs. 5, 6, 8)",
         lasts=_radial_lasts,
-        why_it_ends="when its sphere has shrunk to nothing",
+        why_it_ends="when its sphere has zero radius",
         walls=_radial_walls,
     ),
     "unload": SceneEntry(
         unload,
         options.UnloadOptions,
         _way_back,
-        "square sheet in a sphere that shrinks, rests and grows back: hysteresis and springback",
+        "square sheet in a sphere that shrinks, rests and expands again: hysteresis and springback",
         walls=_told("sphere, from {radius:g} to {least:g} m and back at {speed:g} m/s"),
     ),
     "cylindrical": SceneEntry(
         cylindrical,
         options.CylindricalOptions,
         lambda given: given["compress"],
-        "square sheet, rolled up in a cylinder, that is compressed along it (Fig. 7)",
+        "square sheet rolled up in a cylinder and compressed along the axis (Fig. 7)",
         walls=_told("cylinder of radius {radius:g} m", "two planes across it, down to {height:g} m"),
     ),
     "axial": SceneEntry(
         axial,
         options.AxialOptions,
         lambda given: given["cycles"] * _sum(AxialTimes._fields)(given),
-        "square sheet rolled up, compressed, unfolded and flattened, again and again (Fig. 9)",
+        "square sheet repeatedly rolled up, compressed, unfolded and flattened (Fig. 9)",
         walls=_told(
             "cylinder, down to {radius:g} m",
             "two planes across it, down to {height:g} m",
-            "two planes along it, down to {gap:g} m; all {cycles} times",
+            "two planes along it, down to {gap:g} m; {cycles} cycles",
         ),
     ),
     "stamping": SceneEntry(
@@ -126,34 +129,34 @@ SCENES: dict[str, SceneEntry] = {
         options.StampingOptions,
         _of(stamping_time, "die", "radius", "gap", "speed"),
         "disc pressed into a spherical die by a ball (Fig. 7)",
-        walls=_told("die of radius {die:g} m", "ball that comes down to {gap:g} m above it at {speed:g} m/s"),
+        walls=_told("die of radius {die:g} m", "ball that descends to {gap:g} m above it at {speed:g} m/s"),
     ),
     "shell": SceneEntry(
         shell,
         options.ShellOptions,
         _of(shell_time, "radius", "curvature_radius", "gap", "speed"),
-        "curved shell that a plate presses flat onto another",
+        "curved shell pressed flat between two plates",
         walls=_told("two plates, down to {gap:g} m at {speed:g} m/s"),
     ),
     "conical": SceneEntry(
         conical,
         options.ConicalOptions,
         lambda given: given["pull"] / given["speed"],
-        "disc whose middle is pulled through a small hole (Fig. 7)",
+        "disc pulled by its middle through a small hole (Fig. 7)",
         walls=_told("plate with a hole of radius {opening:g} m"),
     ),
     "ridge": SceneEntry(
         ridge,
         options.RidgeOptions,
         lambda given: 1.5 * given["close"],
-        "sheet whose ends are bent to a sharp corner, with a ridge between them",
+        "sheet bent to a sharp corner at both ends, with a ridge in between",
     ),
     "dcone": SceneEntry(
         dcone,
         options.DconeOptions,
         lambda given: 1.5 * dcone_time(given["radius"], given["slope"], given["speed"]),
-        "disc whose middle is pushed into a hollow cone: a developable cone",
-        walls=_told("cone of slope {slope:g} that comes up at {speed:g} m/s"),
+        "disc pushed into a hollow cone at its middle: a developable cone",
+        walls=_told("cone of slope {slope:g} that rises at {speed:g} m/s"),
     ),
     "arch": SceneEntry(
         arch,
@@ -165,20 +168,20 @@ SCENES: dict[str, SceneEntry] = {
         cap,
         options.CapOptions,
         _always(0.05),
-        "shallow spherical cap, pinned at its rim, that a load turns inside out",
+        "shallow spherical cap, pinned at its rim, inverted by a load",
     ),
     "fold": SceneEntry(
         fold,
         options.FoldOptions,
         _sum(FoldTimes._fields),
-        "square sheet folded in half, pressed and let go (Fig. 3b)",
-        walls=_told("two plates that close and move away"),
+        "square sheet folded in half, pressed and released (Fig. 3b)",
+        walls=_told("two plates that close and retract"),
     ),
     "custom": SceneEntry(
         custom,
         CustomOptions,
         _always(1.0),
-        "a sheet, walls and supports of one's own, from the tables of a scene file",
+        "user-defined sheet, walls and supports, from the tables of a scene file",
         walls=custom_walls,
     ),
 }

@@ -1,7 +1,7 @@
-"""Conical packing: a disc whose middle is pulled through a small hole (Fig. 7, low and high confinement).
+"""Conical packing: a disc pulled by its middle through a small hole (Fig. 7, low and high confinement).
 
-After Mellado, Cheng & Concha, Phys. Rev. E 83, 036607 (2011), and Boué et al., Phys. Rev. Lett. 97, 166104
-(2006).
+References: Mellado, Cheng & Concha, Phys. Rev. E 83, 036607 (2011), and Boué et al., Phys. Rev. Lett. 97,
+166104 (2006).
 """
 
 from collections.abc import Callable
@@ -22,14 +22,14 @@ from jaxcrumple.scenes.snap import check_positive
 
 
 class Along(AbstractMotion):
-    """All nodes go from `position` (n, 3) in m along `direction` (3,), by a `distance` in m at each time."""
+    """Motion of all nodes from `position` (n, 3) in m along `direction` (3,) by `distance(t)` in m."""
 
     position: Array = eqx.field(converter=as_float)
     direction: Array = eqx.field(converter=as_float)
     distance: Callable[[Array], Array]
 
     def __call__(self, t: Array) -> Array:
-        """Positions at time `t`."""
+        """Return the positions (n, 3) in m at time `t`."""
         return self.position + self.distance(t) * self.direction
 
 
@@ -46,14 +46,14 @@ def conical(
     grip: float = 0.006,
     **options: Any,
 ) -> Setup:
-    """A disc on a plate with a hole, through which its middle is pulled.
+    """Build a disc on a plate with a hole; its middle is pulled through the hole.
 
-    **Arguments:** `nodes` of the random mesh made with `seed`; `radius` of the disc, `opening`: radius of
-    the hole, `edge`: that to which its rim is rounded, `pull`: how far the middle is pulled, `grip`: radius
-    of what is pulled in m; `speed` of the pull in m/s; `options` of the sheet: `SheetOptions`.
+    **Arguments:** `nodes`, `seed`: number of nodes and seed of the random mesh; `radius` of the disc,
+    `opening`: radius of the hole, `edge`: fillet radius of its rim, `pull`: distance of the pull, `grip`:
+    radius of the pulled region, all in m; `speed` of the pull in m/s; `options` of the sheet: `SheetOptions`.
 
-    **Raises:** ValueError for lengths or a speed that are not positive, a grip that does not pass the hole,
-    or one that holds no node.
+    **Raises:** ValueError for lengths or a speed that are not positive, a grip that does not pass the hole or
+    holds no node, or a hole too large for the disc.
     """
     check_positive(radius=radius, opening=opening, edge=edge, pull=pull, speed=speed, grip=grip)
     sheet = SheetOptions(**options)

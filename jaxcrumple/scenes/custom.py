@@ -1,4 +1,4 @@
-"""A scene of the user's own, from tables: a sheet, walls, supports and gravity."""
+"""User-defined scene from tables: sheet, walls, supports and gravity."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -40,18 +40,18 @@ from jaxcrumple.scenes.sheets import smooth_imperfection, wrapped
 
 @door
 def custom(nodes: int = 1000, seed: int = 0, *, material: Material | None = None, **options: Any) -> Setup:
-    """A sheet among walls and supports that are all options.
+    """Build a scene whose sheet, walls and supports are options.
 
-    Where the sheet's thickness varies its surface yields everywhere at one strain, that at which `material`
-    does at its own thickness, unless `yield_c0` is given.
+    If the thickness varies, the surface strain at yield is the same everywhere: that of `material` at its own
+    thickness. `yield_c0` overrides this.
 
-    **Arguments:** `nodes` and `seed` of a mesh that is generated; `material`: default `Material()`;
-    `options`: those of `CustomOptions`, as its models or mappings, e.g.
+    **Arguments:** `nodes`, `seed`: number of nodes and seed of a generated mesh; `material`: default
+    `Material()`; `options`: those of `CustomOptions`, as its models or mappings, e.g.
     `walls=[{"kind": "sphere", "radius": 0.07}]`.
 
-    **Raises:** `ConfigError` for unknown or impossible options; ValueError for a sheet that bends all the way
-    round, a support that holds no node, a file without the thickness that is asked of it, or a mesh that
-    cannot be simulated.
+    **Raises:** `ConfigError` for unknown or invalid options; ValueError for a sheet that bends all the way
+    round, a support that holds no node, a file without the named thickness, or a mesh unsuitable for
+    simulation.
     """
     asked: CustomOptions = validated(CustomOptions, options)
     mesh = _mesh(asked.sheet, nodes, seed)
@@ -94,10 +94,11 @@ def _of_file(sheet: FileSheet, nodes: int, seed: int) -> Mesh:
 
 
 def bent(points: FloatArray, bend: Bend | None) -> FloatArray:
-    """Points (n, 3) in m of flat ones (n, 2) on a sphere or a cylinder below the plane z = 0, as far from the
-    origin, or from the line along the axis through it, as they were.
+    """Map flat points (n, 2) in m to points (n, 3) on a sphere or a cylinder below the plane z = 0.
 
-    **Raises:** ValueError where they reach round to the other side.
+    The map keeps distances from the origin (sphere) or from the line through it along the axis (cylinder).
+
+    **Raises:** ValueError if the sheet reaches the opposite side.
     """
     flat = np.column_stack([points, np.zeros(len(points))])
     if bend is None:
@@ -113,7 +114,7 @@ def bent(points: FloatArray, bend: Bend | None) -> FloatArray:
 
 
 def _varied(material: Material, sheet: Square | Disc | FileSheet, mesh: Mesh) -> Material:
-    """The material with the sheet's own thickness by node, where it has one."""
+    """Return the material with the thickness (n,) at the nodes, if the sheet defines one."""
     if sheet.taper is not None:
         thickness = tapered(mesh.vertices, sheet.taper)
     elif isinstance(sheet, FileSheet) and sheet.thickness is not None:
@@ -127,10 +128,10 @@ def _varied(material: Material, sheet: Square | Disc | FileSheet, mesh: Mesh) ->
 
 
 def tapered(x: FloatArray, taper: Taper) -> FloatArray:
-    """Thickness (n,) in m of nodes at `x` (n, 3), linear along a direction."""
+    """Return the thickness (n,) in m at `x` (n, 3) in m, linear along the direction of `taper`."""
     along = x @ np.asarray(_unit(taper.direction))
     if np.ptp(along) == 0:
-        raise ValueError("sheet.taper.direction is across the sheet; choose one that it extends in.")
+        raise ValueError("sheet.taper.direction is normal to the sheet; choose a direction within it.")
     share = (along - along.min()) / np.ptp(along)
     return taper.between[0] + share * (taper.between[1] - taper.between[0])
 
@@ -160,7 +161,7 @@ def _moving(value: float | Motion) -> Any:
 
 
 def _unit(direction: Sequence[float]) -> Array:
-    # Scaled first, so that the square of no component overflows.
+    # Scale first, so that no square overflows.
     scaled = np.array(direction) / np.max(np.abs(direction))
     return jnp.asarray(scaled / np.linalg.norm(scaled))
 
@@ -173,7 +174,7 @@ def _supports(supports: Sequence[Support], mesh: Mesh) -> Prescribed | None:
     for number, support in enumerate(supports):
         here = _inside(support.nodes, mesh)
         if not here.any():
-            raise ValueError(f"supports[{number}] holds no node of the sheet; give it a larger box.")
+            raise ValueError(f"supports[{number}] holds no node of the sheet; give a larger box.")
         held |= here
         velocity[here] = support.velocity
         until[here] = np.inf if support.until is None else support.until
@@ -182,7 +183,7 @@ def _supports(supports: Sequence[Support], mesh: Mesh) -> Prescribed | None:
 
 
 def _inside(nodes: str | Box, mesh: Mesh) -> np.ndarray:
-    """Which nodes (n,) a support holds."""
+    """Return a mask (n,) of the nodes that a support holds."""
     if isinstance(nodes, Box):
         return np.all((mesh.vertices >= nodes.lower) & (mesh.vertices <= nodes.upper), axis=1)
     return np.isin(np.arange(mesh.n_nodes), mesh.boundary_nodes)

@@ -1,4 +1,4 @@
-"""What a scene of the user's own is made of: sheet, walls and supports as tables of a file."""
+"""Options of a user-defined scene: sheet, walls and supports as tables of a file."""
 
 import math
 from collections.abc import Mapping
@@ -33,7 +33,7 @@ from jaxcrumple.options.units import (
 
 
 class Table(BaseModel):
-    """Base of all tables: unknown names and numbers that are not finite are errors."""
+    """Base class of all tables: unknown names and non-finite numbers are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -53,8 +53,8 @@ PositiveMetre = Annotated[Metre, Field(gt=0)]
 
 
 class Motion(Table):
-    """A length in m that goes straight from one of `values` to the next at `times` in s, and rests before the
-    first and after the last."""
+    """A length in m that is linear in time between the `values` at `times` in s. It is constant before the
+    first and after the last time."""
 
     times: Annotated[list[Annotated[float, TIME]], Len(2)]
     values: Annotated[list[Metre], Len(2)]
@@ -62,14 +62,16 @@ class Motion(Table):
     @model_validator(mode="after")
     def _in_order(self) -> "Motion":
         if len(self.times) != len(self.values):
-            raise ValueError(f"{len(self.times)} times for {len(self.values)} values; give one to each")
+            raise ValueError(
+                f"{len(self.times)} times for {len(self.values)} values; give one time for each value"
+            )
         if any(later <= sooner for sooner, later in zip(self.times, self.times[1:], strict=False)):
             raise ValueError("times must increase")
         return self
 
 
 def _is_table(value: Any) -> str:
-    """The member of a union of a plain value and a table that a value is to be."""
+    """Return the tag of a value in a union of a plain value and a table."""
     return "table" if isinstance(value, Mapping | BaseModel) else "plain"
 
 
@@ -77,12 +79,12 @@ Moving = Annotated[
     Annotated[Metre, Tag("plain")] | Annotated[Motion, Tag("table")],
     Discriminator(_is_table),
 ]
-"""A length in m, or how it changes."""
+"""A length in m, or its motion."""
 
 
 class Bend(Table):
-    """Intrinsic curvature: the rest shape lies on a sphere, or on a cylinder along the x or y `axis`, of a
-    `radius` in m. It touches the plane z = 0 from below at the origin."""
+    """Intrinsic curvature: the rest shape lies on a sphere, or on a cylinder along the x or y `axis`, with a
+    `radius` in m. The surface touches the plane z = 0 from below at the origin."""
 
     kind: Literal["sphere", "cylinder"]
     radius: PositiveMetre
@@ -90,8 +92,8 @@ class Bend(Table):
 
 
 class Taper(Table):
-    """A thickness in m that goes linearly from the first of `between` to the second along `direction`, from
-    one end of the sheet to the other."""
+    """A thickness in m that varies linearly along `direction`, from the first value of `between` at one end
+    of the sheet to the second value at the other end."""
 
     between: Annotated[list[PositiveMetre], Len(2, 2)]
     direction: Axis = [1.0, 0.0, 0.0]
@@ -99,7 +101,7 @@ class Taper(Table):
 
 class GeneratedSheet(Table):
     """A flat random mesh: `imperfection` is the largest height in m of a smooth, stress-free initial shape,
-    `sweeps` those of Lloyd's algorithm; `bend` its intrinsic curvature, `taper` a thickness that varies."""
+    `sweeps` the number of Lloyd sweeps, `bend` the intrinsic curvature, `taper` a variable thickness."""
 
     imperfection: Metre = Field(25e-6, ge=0)
     sweeps: int = Field(100, ge=0, le=10_000)
@@ -122,12 +124,12 @@ class Disc(GeneratedSheet):
 
 
 class FileSheet(Table):
-    """The surface in the file `path`, which trimesh or meshio reads: its rest shape as it is, curved or not.
+    """The surface in the file `path` (read by trimesh or meshio), flat or curved, is the rest shape.
 
-    `unit` of all lengths in the file, metres by default; points up to `merge` in m apart become one.
-    `remesh`: fill the outline of a flat sheet with a random mesh of `nodes` nodes instead. `thickness`: the
-    name of point data in the file with the thickness of each node in that unit. A path is taken from the
-    folder of the scene file.
+    `path`: relative to the folder of the scene file. `unit`: unit of all lengths in the file, metres by
+    default. `merge`: largest distance in m of points that become one. `remesh`: replace the mesh of a flat
+    sheet by a random mesh of `nodes` nodes within its outline. `thickness`: name of the point data in the
+    file that give the thickness of each node, in the same unit.
     """
 
     shape: Literal["file"]
@@ -144,10 +146,10 @@ class FileSheet(Table):
         found = Path((info.context or {}).get("folder", ".")).absolute() / path
         try:
             exists = found.is_file()
-        except (OSError, ValueError):  # a name too long, or with a zero byte
+        except (OSError, ValueError):  # the name is too long or contains a zero byte
             exists = False
         if not exists:
-            raise ValueError("there is no such file; give that of a mesh")
+            raise ValueError("there is no such file; give the path of a mesh file")
         return str(found)
 
     @field_validator("unit")
@@ -164,7 +166,7 @@ class FileSheet(Table):
         if self.thickness is not None and self.taper is not None:
             raise ValueError("thickness and taper both set the thickness; leave one out")
         if self.thickness is not None and self.remesh:
-            raise ValueError("remesh leaves no node of the file that has the thickness; leave one out")
+            raise ValueError("remesh replaces the nodes that have the thickness; leave one out")
         return self
 
 
@@ -201,7 +203,7 @@ class CylinderWall(Table):
 
 
 class PlaneWall(Table):
-    """The side of a plane to which `normal` points; `offset` along it from the origin in m, or a motion."""
+    """The side of a plane to which `normal` points; `offset` from the origin along it in m, or a motion."""
 
     kind: Literal["plane"]
     normal: Axis = UP
@@ -209,8 +211,8 @@ class PlaneWall(Table):
 
 
 class ConeWall(Table):
-    """The inside of a cone that opens along `axis` by `half_angle` in rad; its tip is `height` away from
-    `center` along the axis, in m or a motion."""
+    """The inside of a cone that opens along `axis` with `half_angle` in rad; `height`: distance of its tip
+    from `center` along the axis, in m or a motion."""
 
     kind: Literal["cone"]
     center: Position = ORIGIN
@@ -223,7 +225,7 @@ AnyWall = Annotated[SphereWall | CylinderWall | PlaneWall | ConeWall, Field(disc
 
 
 class Box(Table):
-    """The points from the corner `lower` to the corner `upper`, in m, which may be infinite."""
+    """A box between the corners `lower` and `upper`, in m; coordinates may be infinite."""
 
     model_config = ConfigDict(allow_inf_nan=True)
 
@@ -238,8 +240,8 @@ class Box(Table):
 
 
 class Support(Table):
-    """Nodes that are held, those in a box or on the sheet's "boundary": fixed, or moved at a `velocity` in
-    m/s, `until` a time in s if they are let go. Of two supports of one node the later one holds it."""
+    """Held nodes: those in a box or on the sheet's "boundary". They are fixed, or move at a `velocity` in
+    m/s. The support releases them at the time `until` in s, if given. The last support of a node applies."""
 
     nodes: Annotated[
         Annotated[Literal["boundary"], Tag("plain")] | Annotated[Box, Tag("table")],
@@ -268,19 +270,19 @@ class CustomOptions(Table):
 
 
 def refuse_idle_contact(options: Any) -> None:
-    """Refuse options of a contact that there is none of."""
+    """Refuse options of contact if there is no contact."""
     given = [name for name in ("contact_range", "contact_level") if getattr(options, name) is not None]
     if options.contact is None and given:
-        raise ValueError(f"{given[0]} is of no use to a phantom sheet; leave it or contact=none out")
+        raise ValueError(f"{given[0]} has no effect without contact; leave it or contact=none out")
 
 
 def custom_walls(options: Mapping[str, Any]) -> list[str]:
-    """The walls in words, of options as `CustomOptions.model_dump` has them."""
+    """Describe the walls in words, from the output of `CustomOptions.model_dump`."""
     return [f"{wall['kind']}, {_measure(wall)}" for wall in options["walls"]]
 
 
 def _measure(wall: Mapping[str, Any]) -> str:
-    """The length that may move, in words."""
+    """Describe the length that may vary in time."""
     name = next(name for name in ("radius", "offset", "height") if name in wall)
     value = wall[name]
     if isinstance(value, Mapping):

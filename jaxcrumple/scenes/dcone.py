@@ -1,7 +1,7 @@
-"""A developable cone: a disc whose middle is pushed into a hollow cone (Cerda & Mahadevan 1998, 2005).
+"""Developable cone: a disc pushed into a hollow cone at its middle (Cerda & Mahadevan 1998, 2005).
 
-It touches the cone everywhere but in one sector, where it bends away. For shallow cones the angle of that
-sector depends on nothing and is about 139 degrees.
+The disc touches the cone everywhere except in one sector, where it bends away. For shallow cones the angle of
+that sector is universal, about 139 degrees.
 """
 
 import math
@@ -20,7 +20,7 @@ from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions
 from jaxcrumple.scenes.snap import check_positive
 
-# Ring, as shares of the disc's radius, in which the sector is measured.
+# Inner and outer radius of the ring in which the sector is measured, in units of the disc radius.
 RING = (0.5, 0.9)
 
 
@@ -34,10 +34,10 @@ def dcone(
     speed: float = 0.02,
     **options: Any,
 ) -> Setup:
-    """A disc whose middle is held while a hollow cone comes up around it.
+    """Build a disc that is held at its middle while a hollow cone rises around it.
 
-    **Arguments:** `nodes` of the random mesh made with `seed`; `radius` of the disc in m; `slope` of the
-    cone's side; `speed` of the cone in m/s; `options` of the sheet: `SheetOptions`.
+    **Arguments:** `nodes`, `seed`: number of nodes and seed of the random mesh; `radius` of the disc in m;
+    `slope` of the cone's side; `speed` of the cone in m/s; `options` of the sheet: `SheetOptions`.
 
     **Raises:** ValueError for a radius, a slope or a speed that is not positive.
     """
@@ -45,7 +45,7 @@ def dcone(
     sheet = SheetOptions(**options)
     mesh = sheet.disc(radius, nodes, seed)
     tilt = math.atan(slope)
-    # At last the middle is as far from the tip as where the cone is not felt any more.
+    # In the end the middle is just outside the range of the cone, one thickness from its side.
     lowest = -(sheet.clearance + sheet.imperfection + radius * math.sin(tilt)) / math.cos(tilt)
     highest = -sheet.thickness / math.cos(tilt)
     tip = Corners(jnp.array([0.0, (highest - lowest) / speed]), jnp.array([lowest, highest]))
@@ -58,19 +58,18 @@ def dcone(
 
 
 def dcone_time(radius: float, slope: float, speed: float) -> float:
-    """Time in s after which the cone has come up, for a thin sheet."""
+    """Return the time in s at which the cone stops rising, for a thin sheet."""
     return radius * slope / speed
 
 
 @door
 def free_sector(setup: Setup, x: FloatArray, t: float) -> float:
-    """Angle in rad of the sector in which a d-cone is off its cone, at positions `x` (n, 3) in m and time
-    `t`.
+    """Return the angle in rad of the sector in which a d-cone is off its cone.
 
-    A line of heights over the cone as a share of the distance from the middle, against the angle around it,
-    leaves zero as the cube of the angle at both ends of the sector, for the force there is concentrated; the
-    ends are fitted, with the next power of the angle, since any threshold of the height would miss them by
-    its cube root.
+    `x` (n, 3): positions in m; `t`: time in s. The relative height is the height over the cone divided by the
+    distance from the middle. At both ends of the sector it grows as the cube of the angle, since the force
+    there is concentrated. A fit with the third and fourth powers of the angle finds the ends. A threshold of
+    the height would miss them by its cube root.
     """
     flat = np.linalg.norm(setup.mesh.vertices[:, :2], axis=1)
     share = flat / flat.max()
@@ -84,7 +83,7 @@ def free_sector(setup: Setup, x: FloatArray, t: float) -> float:
 
 
 def _end(angle: FloatArray, lifted: FloatArray) -> float:
-    """Angle at which one side of the sector ends."""
+    """Return the angle in rad at which one side of the sector ends."""
     used = (angle > 0) & (lifted < 0.3 * lifted.max())
 
     def misfit(guess: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""A square sheet that is folded in half, pressed, let go, and springs open to its final angle (Fig. 3b)."""
+"""Square sheet folded in half, pressed and released; it springs open to its final angle (Fig. 3b)."""
 
 import math
 from typing import NamedTuple
@@ -20,23 +20,23 @@ from jaxcrumple.scene import sheet
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.snap import check_gap, check_positive
 
-# Strips along two edges that are held, as a share of the sheet's size.
+# Width of the held strips along two edges, in units of the sheet size.
 GRIP = 0.08
 # Edge of the sheet in m.
 SIZE = 0.1
-# The gap between the plates in m, and the least one in mean distances between nodes of a coarse mesh, which
-# snaps from one zigzag of edges to the next where it is bent to a sharper crease.
+# Default gap between the plates in m, and the least gap in mean node distances. A coarse mesh bent to a
+# sharper crease snaps from one zigzag of edges to the next.
 GAP, COARSEST = 6e-3, 2.0
-# Height of the upper plate when the sheet is closed, and after the release, as a share of the size.
+# Height of the upper plate while the sheet closes and after the release, in units of the sheet size.
 OPEN = 0.6
-# Time in which plates move away in s.
+# Time in s in which the plates retract.
 RETREAT = 0.02
-# Of the halves' triangles, those further from the fold than this share of the size tell its angle.
+# Least distance from the fold of the triangles that define the fold angle, in units of the sheet size.
 FLAT = 0.2
 
 
 class FoldTimes(NamedTuple):
-    """How long each part of a fold lasts, in s: to `close` it, to `press` it, to `hold` it, to `relax`."""
+    """Durations in s of the parts of a fold: `close`, `press`, `hold` and `relax`."""
 
     close: float = 0.5
     press: float = 0.25
@@ -45,12 +45,12 @@ class FoldTimes(NamedTuple):
 
     @property
     def release(self) -> float:
-        """Time of the release."""
+        """Time of the release in s."""
         return self.close + self.press + self.hold
 
     @property
     def end(self) -> float:
-        """Time at which all is over."""
+        """Time in s at which the relaxation ends."""
         return self.release + self.relax
 
 
@@ -58,9 +58,9 @@ TIMES = FoldTimes()
 
 
 class Closing(AbstractMotion):
-    """The right half turns about the line x = 0 at a height until it lies over the left one.
+    """Rotation of the right half about a line at x = 0 and z = `height`, until it lies over the left half.
 
-    **Arguments:** `position` (n, 3) in m at t = 0; `height` of the line in m; `time` in s that it takes.
+    **Arguments:** `position` (n, 3) in m at t = 0; `height` of the line in m; `time`: duration in s.
     """
 
     position: Array = eqx.field(converter=as_float)
@@ -68,7 +68,7 @@ class Closing(AbstractMotion):
     time: Array = eqx.field(converter=as_float)
 
     def __call__(self, t: Array) -> Array:
-        """Positions at time `t`."""
+        """Return the positions (n, 3) in m at time `t`."""
         angle = 0.5 * jnp.pi * (1.0 - jnp.cos(jnp.pi * jnp.clip(t / self.time, 0.0, 1.0)))
         x, y, z = self.position.T
         up, sine, cosine = z - self.height, jnp.sin(angle), jnp.cos(angle)
@@ -90,19 +90,18 @@ def fold(
     sweeps: int = 100,
     material: Material | None = None,
 ) -> Setup:
-    """A square sheet of edge `size` whose halves are brought together, pressed between plates a `gap` apart,
-    held, and let go.
+    """Build a square sheet that is folded in half, pressed between two plates, held, and released.
 
-    Strips along two opposite edges are held: one rests, the other turns about the middle line until it lies
-    over the first, for the time `close`. Then the upper plate comes down for the time `press` and flattens
-    the loop between them to a crease. After the time `hold` strips and plates let go, and the sheet springs
-    open; drag brings it to rest within the time `relax`. `fold_angle` measures what is left.
+    Strips along two opposite edges are held. One strip is fixed; the other rotates about the middle line
+    during `close` until it lies over the first. The upper plate then descends during `press` and flattens the
+    loop to a crease. After the time `hold` strips and plates release the sheet, and it springs open. Drag
+    brings it to rest during `relax`. `fold_angle` measures the remaining angle.
 
-    **Arguments:** `nodes` of the random mesh made with `seed` and `sweeps` Lloyd sweeps; `size` in m; `gap`
-    in m, by default 6 mm, or twice the distance between nodes of a mesh that is too coarse for it; `close`,
-    `press`, `hold`, `relax` in s; `material`: default `Material()`.
+    **Arguments:** `nodes`, `seed`, `sweeps`: number of nodes, seed and Lloyd sweeps of the random mesh;
+    `size`: edge of the sheet in m; `gap` between the plates in m, by default 6 mm, or twice the node distance
+    if that is larger; `close`, `press`, `hold`, `relax` in s; `material`: default `Material()`.
 
-    **Raises:** ValueError for lengths or times that are not positive, or a gap that the sheet fills.
+    **Raises:** ValueError for lengths or times that are not positive, or a gap of at most two thicknesses.
     """
     times = FoldTimes(close, press, hold, relax)
     check_positive(size=size, **times._asdict())
@@ -122,13 +121,13 @@ def fold(
 
 
 def default_gap(nodes: int, size: float = SIZE) -> float:
-    """Gap in m between the plates for a mesh of as many nodes."""
+    """Return the default gap in m between the plates for a mesh of `nodes` nodes."""
     check_positive(nodes=nodes, size=size)
     return max(GAP, COARSEST * size * math.sqrt(2.0 / (math.sqrt(3.0) * nodes)))
 
 
 def plates(size: float, gap: float, times: FoldTimes) -> list[Plane]:
-    """The lower plate, and the upper one that comes down; both move away after the release."""
+    """Build the fixed lower and the descending upper plate; both retract after the release."""
     high, low = OPEN * size, 0.5 * gap
     moments = jnp.cumsum(jnp.array([0.0, times.close, times.press, times.hold, RETREAT]))
     lower = Corners(moments, -jnp.array([low, low, low, low, high]))
@@ -139,9 +138,9 @@ def plates(size: float, gap: float, times: FoldTimes) -> list[Plane]:
 
 @door
 def fold_angle(mesh: Mesh, x: Array) -> Array:
-    """Angle in rad between the two halves of a folded sheet at positions `x` (n, 3): pi where it is flat.
+    """Return the angle in rad between the halves of a folded sheet at `x` (n, 3) in m: pi for a flat sheet.
 
-    From the mean normals of the triangles of either half away from the fold; a smooth function of `x`.
+    The angle is that between the mean normals of both halves, away from the fold, and is smooth in `x`.
     """
     side = np.sign(mesh.vertices[mesh.faces, 0])
     away = np.abs(mesh.vertices[mesh.faces, 0]).min(axis=1) > FLAT * np.ptp(mesh.vertices[:, 0])
@@ -151,6 +150,6 @@ def fold_angle(mesh: Mesh, x: Array) -> Array:
 
 
 def _normal(x: Array, faces: np.ndarray) -> Array:
-    """Sum (3,) of the normals of triangles, weighed by their areas."""
+    """Return the area-weighted sum (3,) of triangle normals."""
     a, b, c = gather(x, jnp.asarray(faces))
     return jnp.stack([jnp.sum(part) for part in cross(sub(b, a), sub(c, a))])

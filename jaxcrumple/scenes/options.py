@@ -1,4 +1,4 @@
-"""Options of the scenes that can be run by name, as validated models in SI units; strings may carry units."""
+"""Options of the scenes in the catalogue: validated models in SI units; strings may contain units."""
 
 import math
 from typing import Annotated, Literal, Self
@@ -14,7 +14,7 @@ from jaxcrumple.scenes.fold import TIMES
 
 
 class SceneOptions(BaseModel):
-    """Base of all: unknown names are errors."""
+    """Base class of all options: unknown names are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -122,7 +122,7 @@ class DconeOptions(SheetModel):
 
 
 class SnapOptions(SceneOptions):
-    """Options that `arch` and `cap` share; load in N, its time of growth `ramp` in s."""
+    """Options that `arch` and `cap` share; load in N, duration `ramp` of its growth in s."""
 
     ramp: Second = Field(0.03, gt=0)
     plastic: bool = False

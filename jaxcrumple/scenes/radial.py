@@ -1,4 +1,4 @@
-"""Radial confinement: a square sheet inside a sphere that shrinks (Figs. 5, 6, 8), and grows again."""
+"""Radial confinement: a square sheet in a sphere that shrinks (Figs. 5, 6, 8) and may expand again."""
 
 from typing import Any
 
@@ -24,19 +24,20 @@ def radial(
     hold: float | None = None,
     **options: Any,
 ) -> Setup:
-    """A square sheet of edge `size` in a sphere that shrinks at `speed`.
+    """Build a square sheet in a sphere that shrinks at constant speed.
 
-    **Arguments:** `nodes` of the random mesh made with `seed`; `size`, `radius` in m; `speed` in m/s; `hold`:
-    time in s from which the sphere keeps its radius; `options` of the sheet: `SheetOptions`.
+    **Arguments:** `nodes`, `seed`: number of nodes and seed of the random mesh; `size`: edge of the sheet,
+    `radius`: initial radius of the sphere in m; `speed` in m/s; `hold`: time in s at which the sphere stops;
+    `options` of the sheet: `SheetOptions`.
 
-    **Raises:** ValueError for lengths or a speed that are not positive, a sheet that does not fit, or a hold
-    after the sphere has shrunk to nothing.
+    **Raises:** ValueError for lengths or a speed that are not positive, a sheet that does not fit, or a
+    `hold` later than the time of zero radius.
     """
     check_positive(size=size, radius=radius, speed=speed)
     if hold is not None and not 0 < hold * speed < radius:
         raise ValueError(
             f"hold = {hold!r} s must be a time between 0 and {radius / speed:g} s, when the sphere has "
-            "shrunk to nothing."
+            "zero radius."
         )
     _check_fits(size, radius)
     until = np.inf if hold is None else hold
@@ -57,13 +58,15 @@ def unload(
     hold: float = 0.1,
     **options: Any,
 ) -> Setup:
-    """A square sheet in a sphere that shrinks from `radius` to `least` at `speed`, rests for the time `hold`,
-    and grows back: hysteresis of the force on it, and how far the crumple springs back.
+    """Build a square sheet in a sphere that shrinks, rests and expands again.
 
-    **Arguments:** as of `radial`; `least` in m; `hold` in s.
+    The sphere shrinks from `radius` to `least` at `speed`, rests for the time `hold`, and expands at the same
+    speed. The scene shows the hysteresis of the wall force and the springback of the sheet.
 
-    **Raises:** ValueError for lengths, a speed or a time that are not positive, a least radius that is not
-    the smaller one, or a sheet that does not fit.
+    **Arguments:** as in `radial`, except `least` in m, `hold` in s.
+
+    **Raises:** ValueError for lengths, a speed or a time that are not positive, `least` >= `radius`, or a
+    sheet that does not fit.
     """
     check_positive(size=size, radius=radius, least=least, speed=speed, hold=hold)
     if least >= radius:

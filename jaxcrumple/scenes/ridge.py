@@ -1,7 +1,7 @@
-"""A minimal ridge: a sheet that is bent to a sharp corner at two opposite edges.
+"""Minimal ridge: a sheet bent to a sharp corner at two opposite edges.
 
-Lobkovsky et al., Science 270, 1482 (1995): between the two corners a ridge sags, whose curvature at its
-middle times its length X grows as $(\\sqrt{\\kappa/Y}/X)^{-1/3}$.
+A ridge connects the two corners and sags at its middle. Its curvature there times its length X scales as
+$(\\sqrt{\\kappa/Y}/X)^{-1/3}$ (Lobkovsky et al., Science 270, 1482 (1995)).
 """
 
 import math
@@ -23,23 +23,23 @@ from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions
 from jaxcrumple.scenes.snap import check_positive
 
-# Width of the frames that hold the corners, as a share of the length of the ridge.
+# Width of the frames that hold the corners, in units of the ridge length.
 FRAME = 0.05
-# The middle of the ridge, as a share of its length, over which its curvature is averaged.
+# Length of the middle part over which the curvature is averaged, in units of the ridge length.
 MIDDLE = 0.1
 
 
 class Bending(AbstractMotion):
-    """The halves beside the line x = 0 turn up about it, each by half of the `turn` in rad at each time.
+    """Rotation of both halves upwards about the line x = 0, each by half of `turn(t)` in rad.
 
-    `position` (n, 3) in m: where the nodes are at rest.
+    `position` (n, 3): rest positions in m.
     """
 
     position: Array = eqx.field(converter=as_float)
     turn: Corners
 
     def __call__(self, t: Array) -> Array:
-        """Positions at time `t`."""
+        """Return the positions (n, 3) in m at time `t`."""
         x, y, z = self.position.T
         half = 0.5 * self.turn(t)
         cos, sin = jnp.cos(half), jnp.sin(half)
@@ -57,15 +57,15 @@ def ridge(
     close: float = 0.2,
     **options: Any,
 ) -> Setup:
-    """A rectangular sheet, `length` along y and `width` along x, whose ends are bent about the line x = 0.
+    """Build a rectangular sheet, `length` along y and `width` along x, bent at its ends about the line x = 0.
 
-    Frames, of a twentieth of the length, hold the two ends and turn their halves up to a corner for the time
-    `close`; between them the sheet is free.
+    Frames hold the two ends. Each frame adds a twentieth of the length and bends to a corner during `close`.
+    The sheet between the frames is free.
 
-    **Arguments:** `nodes` of the random mesh made with `seed`; `length`, `width` in m; `turn`: by how much
-    the corner is bent in rad; `close` in s; `options` of the sheet: `SheetOptions`.
+    **Arguments:** `nodes`, `seed`: number of nodes and seed of the random mesh; `length`, `width` in m;
+    `turn`: bend angle of the corner in rad; `close` in s; `options` of the sheet: `SheetOptions`.
 
-    **Raises:** ValueError for lengths or a time that are not positive, or a turn of more than half a turn.
+    **Raises:** ValueError for lengths or a time that are not positive, or `turn` >= pi.
     """
     check_positive(length=length, width=width, turn=turn, close=close)
     if turn >= math.pi:
@@ -81,9 +81,10 @@ def ridge(
 
 @door
 def ridge_curvature(mesh: Mesh, x: FloatArray) -> float:
-    """Curvature in 1/m across the middle of a ridge along y at positions `x` (n, 3) in m.
+    """Return the curvature in 1/m across the middle of a ridge along y at positions `x` (n, 3) in m.
 
-    The largest mean curvature of strips along the ridge, whose own curvature is small, near its middle.
+    It is the largest mean curvature, averaged over narrow strips along the middle part of the ridge. The
+    curvature along the ridge is negligible.
     """
     along = np.abs(mesh.vertices[:, 1]) < 0.5 * MIDDLE * np.ptp(mesh.vertices[:, 1])
     across, curvature = mesh.vertices[along, 0], np.abs(mean_curvature(mesh, x))[along]

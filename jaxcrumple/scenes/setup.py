@@ -1,4 +1,4 @@
-"""What a scene's function makes: all that a run needs but its solver."""
+"""Setup: the output of a scene function, all that a run needs except the solver."""
 
 import functools
 from typing import Any, NamedTuple
@@ -18,9 +18,9 @@ from jaxcrumple.model.plasticity import AbstractFlowRule
 from jaxcrumple.model.walls import AbstractShape, Wall
 from jaxcrumple.scene import Scene, sheet
 
-# Relative difference of numbers that counts as rounding.
+# Relative tolerance for rounding errors.
 ROUNDING = 1e-12
-# Numbers of a scene that follow from its mesh, so that others in their place are kept; and those that follow
+# Values of a scene that follow from its mesh (values changed by the user are kept), and those that follow
 # from its material.
 _SHAPE = ("bending.rest_curvature", "membrane.rest_length")
 _MATERIAL = (
@@ -32,8 +32,11 @@ _YIELD = ("yield_curvature", "yield_c0", "gamma", "plastic_time")
 
 
 class Setup(NamedTuple):
-    """A scene ready to run: the sheet's `mesh`, the `scene`, where its nodes `x` (n, 3) start, options of its
-    self-`contact`, if it has any, and the `material` it is made of, if that is known."""
+    """A scene ready to run.
+
+    `mesh` of the sheet, `scene`, initial positions `x` (n, 3) in m, options of self-`contact` (None: no
+    contact) and `material` (None: unknown).
+    """
 
     mesh: Mesh
     scene: Scene
@@ -43,34 +46,34 @@ class Setup(NamedTuple):
 
     @door
     def made_of(self, material: Material) -> Scene:
-        """The scene with the sheet of another material, and walls and contact as they follow from that.
+        """Return the scene with a sheet of another material; recompute walls and contact for it.
 
-        A function with derivatives. What does not follow from the setup's own material stays as it is: walls
-        with a stiffness or a range of their own, a flow rule of your own, rest curvatures and rest lengths.
+        The function is differentiable. It keeps values that do not follow from the material of the setup:
+        walls with their own stiffness or range, a user-defined flow rule, rest curvatures and rest lengths.
 
-        **Raises:** ValueError for a setup that does not say its material, or whose scene has other numbers
-        than follow from it; or where a yield point changes, but the flow rule does not follow from it.
+        **Raises:** ValueError for a setup without a material, or with a scene whose values do not follow from
+        it; or for a new yield point if the flow rule is user-defined.
         """
         scene, own = self.scene, self._as_its_material_makes_it()
         for name in _MATERIAL:
             if not _alike(_part(scene, name), _part(own, name)):
                 raise ValueError(
-                    f"{name} of the setup's scene is not what its material makes it, so no other material "
-                    "tells it: build the scene by jaxcrumple.sheet(mesh, material, ...), and replace "
+                    f"{name} of the setup's scene does not follow from its material, so made_of cannot "
+                    "change it: build the scene by jaxcrumple.sheet(mesh, material, ...), and replace "
                     f"{name} there."
                 )
         rule = None if _alike(scene.plasticity, own.plasticity) else scene.plasticity
         if rule is None and scene.plasticity is None and own.plasticity is not None:
             raise ValueError(
                 "the setup's scene has no plasticity, but its material yields: give the setup an elastic "
-                "one, Material(yield_curvature=None)."
+                "material, Material(yield_curvature=None)."
             )
         assert self.material is not None
         for name in _YIELD:
             if rule is not None and changed(name, self.material, material):
                 raise ValueError(
                     f"{name} changes, but the setup's flow rule, {type(rule).__name__}, does not follow from "
-                    "its material; replace the numbers of the rule by eqx.tree_at."
+                    "its material; change the values of the rule with eqx.tree_at."
                 )
         pairs = zip(scene.walls, own.walls, strict=True)
         walls = [wall.shape if _alike(_law(wall), _law(its)) else wall for wall, its in pairs]
@@ -81,10 +84,10 @@ class Setup(NamedTuple):
         return made
 
     def _as_its_material_makes_it(self) -> Scene:
-        """The scene with nothing but what follows from the setup's own material."""
+        """Return the scene that follows from the material of the setup alone."""
         if self.material is None:
             raise ValueError(
-                "the setup does not say its material, so it is not known what follows from it: make it "
+                "the setup has no material, so made_of cannot tell which values follow from it: use "
                 "Setup(mesh, scene, x, contact, material)."
             )
         if not is_known(*vars(self.material).values(), self.scene.mass):
@@ -111,7 +114,7 @@ class Setup(NamedTuple):
 
 
 def _part(scene: Scene, name: str) -> Any:
-    """A part by its dotted name; None where the scene lacks it."""
+    """Return a part of the scene by its dotted name, or None if the scene lacks it."""
     found: Any = scene
     for step in name.split("."):
         found = getattr(found, step, None)
@@ -119,12 +122,12 @@ def _part(scene: Scene, name: str) -> Any:
 
 
 def _law(wall: Wall) -> tuple[type, Array, Array]:
-    """What of a wall follows from the material."""
+    """Return the parameters of a wall that follow from the material."""
     return type(wall), wall.stiffness, wall.range
 
 
 def _alike(one: Any, other: Any) -> bool:
-    """Whether two trees are the same to rounding; numbers that JAX traces are like no others."""
+    """Return whether two trees are equal up to rounding; False if a value is a JAX tracer."""
     numbers, rest = eqx.partition((one, other), eqx.is_array)
     if not (eqx.tree_equal(*rest) is True and is_known(numbers)):
         return False

@@ -1,5 +1,4 @@
-"""The sheets of the scenes: flat, but for a smooth imperfection, or curved at rest; and what surrounds
-them."""
+"""Sheets of the scenes (flat with a smooth imperfection, or curved at rest), and their setup with walls."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -17,9 +16,9 @@ from jaxcrumple.model.walls import AbstractShape
 from jaxcrumple.scene import sheet
 from jaxcrumple.scenes.setup import Setup
 
-# Shortest wavelength of the initial imperfection in m, and how many modes each way it has at most.
+# Shortest wavelength of the initial imperfection in m.
 IMPERFECTION_WAVELENGTH = 0.02
-# Bytes that a mode takes.
+# Memory per mode in bytes.
 MODE = 40.0
 
 
@@ -42,22 +41,22 @@ class SheetOptions:
     material: Material = field(default_factory=Material)
 
     def reaching(self, thicknesses: float) -> "SheetOptions":
-        """The same, with a range of self-contact in thicknesses where there is contact and none is given."""
+        """Return the options with a contact range in `thicknesses`, if there is contact without a range."""
         if self.contact is None or self.contact_range is not None:
             return self
         return replace(self, contact_range=thicknesses * self.thickness)
 
     def square(self, size: float, nodes: int, seed: int) -> Mesh:
-        """A square of edge `size` in m around the origin of the plane z = 0, with its imperfection."""
+        """Mesh a square of edge `size` in m around the origin of the plane z = 0, with its imperfection."""
         flat = rectangle(size, size, nodes, seed=seed, sweeps=self.sweeps)
         return self.imperfect(flat, size, seed)
 
     def disc(self, radius: float, nodes: int, seed: int) -> Mesh:
-        """A disc of `radius` in m around the origin of the plane z = 0, with its imperfection."""
+        """Mesh a disc of `radius` in m around the origin of the plane z = 0, with its imperfection."""
         return self.imperfect(disc(radius, nodes, seed=seed, sweeps=self.sweeps), 2.0 * radius, seed)
 
     def imperfect(self, flat: Mesh, size: float, seed: int) -> Mesh:
-        """A `flat` sheet within a square of edge `size` in m around the origin, with its imperfection.
+        """Add the imperfection to a `flat` sheet within a square of edge `size` in m around the origin.
 
         **Raises:** ValueError for an imperfection that is negative or not finite.
         """
@@ -68,12 +67,12 @@ class SheetOptions:
 
     @property
     def thickness(self) -> float:
-        """Mean thickness in m, which is the range of walls as well."""
+        """Mean thickness in m, also the range of walls."""
         return float(np.mean(self.material.thickness))
 
     @property
     def clearance(self) -> float:
-        """Distance in m from a wall at which the sheet does not feel it yet."""
+        """Distance in m from a wall, just beyond its range."""
         return 1.1 * self.thickness
 
     def setup(
@@ -85,7 +84,7 @@ class SheetOptions:
         prescribed: Prescribed | None = None,
         extra: Sequence[ElementEnergy] = (),
     ) -> Setup:
-        """The sheet between its walls, starting at positions `x` (n, 3) in m, by default its rest shape."""
+        """Build the setup of a sheet with walls and initial positions `x` (n, 3) in m, default at rest."""
         contact = None
         if self.contact is not None:
             contact = SelfContact(self.contact, self.contact_range, self.contact_level)
@@ -102,12 +101,15 @@ class SheetOptions:
 
 
 def smooth_imperfection(points: np.ndarray, size: float, amplitude: float, seed: int) -> np.ndarray:
-    """Random height (n,) of the `points` (n, 2) within a square of edge `size` in m, largest value
-    `amplitude`: modes no shorter than 2 cm, or the longest one where all are."""
+    """Return a smooth random height (n,) in m at `points` (n, 2) within a square of edge `size` in m.
+
+    The largest absolute value is `amplitude` in m. The wavelengths are at least 2 cm; a smaller sheet has
+    only the longest mode.
+    """
     if amplitude == 0.0:
         return np.zeros(len(points))
     rng = np.random.default_rng([seed, 1])
-    # One wave across and one along is the least there is.
+    # At least one mode along each axis.
     highest = max(int(2.0 * size / IMPERFECTION_WAVELENGTH), 2)
     require(
         MODE * float(highest) ** 2 + 32.0 * len(points) * highest,
@@ -124,9 +126,11 @@ def smooth_imperfection(points: np.ndarray, size: float, amplitude: float, seed:
 
 
 def wrapped(vertices: FloatArray, radius: float, *, along: str | None = None) -> FloatArray:
-    """Points (n, 3) in m of a flat sheet wrapped over a ball of `radius` in m below it, or over a cylinder
-    `along` "x" or "y": distances from the origin, or from the cylinder's line, and heights over the sheet are
-    kept."""
+    """Wrap a flat sheet over a ball of `radius` in m below it, or over a cylinder `along` "x" or "y".
+
+    Return points (n, 3) in m. The map keeps heights over the sheet and distances from the origin (ball) or
+    from the line of contact (cylinder).
+    """
     flat, height = vertices[:, :2], vertices[:, 2]
     across = np.array([along != "x", along != "y"], float)
     angle = np.linalg.norm(flat * across, axis=1) / radius
@@ -137,5 +141,5 @@ def wrapped(vertices: FloatArray, radius: float, *, along: str | None = None) ->
 
 
 def upright(points: FloatArray) -> FloatArray:
-    """Points (n, 3) of a sheet in the x-y plane turned into the x-z plane: y becomes z, and z -y."""
+    """Rotate points (n, 3) of a sheet in the x-y plane into the x-z plane: y becomes z, and z becomes -y."""
     return points[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0])

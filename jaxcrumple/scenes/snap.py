@@ -1,4 +1,4 @@
-"""What the snap-through scenes share: supports, material, and the energy that a snap sets free."""
+"""Helpers of the snap-through scenes: supports, material, and the energy that a snap releases."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -20,16 +20,16 @@ from jaxcrumple.system import energies
 
 _energies = eqx.filter_jit(energies)
 
-# Equilibria this close, in units of sqrt(A), are one and the same.
+# Distance, in units of sqrt(A), below which two equilibria count as the same.
 SAME = 1e-4
 
 
 class Drop(NamedTuple):
-    """Two equilibria under one load, and what the second stores less than the first, in J.
+    """Two equilibria under the same load, and the drop of energy in J from the first to the second.
 
-    `before`, `after`: outcome of `relax` on either side of the snap. `elastic`: drop of stretching and
-    bending energy. `potential`: drop of that and the energy of load and walls together, which is what
-    the snap turns into motion and heat. `elastic` may be negative: the load works during the snap.
+    `before`, `after`: results of `relax` on both sides of the snap. `elastic`: drop of stretching and bending
+    energy; it may be negative, since the load does work during the snap. `potential`: drop of the total
+    potential energy, load and walls included; the snap converts it to motion and heat.
     """
 
     before: Relaxed
@@ -40,15 +40,15 @@ class Drop(NamedTuple):
 
 @door
 def energy_drop(scene: Scene, before: State, after: State, *, force_tolerance: float | None = None) -> Drop:
-    """Drop of relaxed energy between two states, both brought to rest under the load that `before` bears.
+    """Relax two states under the load of `before` and return the drop of energy between them.
 
-    The result depends on the two branches of equilibria and on `before.t` alone, not on how the states
-    came about: an integrator's frames before and after its snap serve as well as `relaxed_drop`'s.
+    The result depends only on the two branches of equilibria and on `before.t`. The states may be frames of a
+    time integration before and after the snap, or those of `relaxed_drop`.
 
-    **Arguments:** `before`: a state shortly before the snap, its time below that of the limit point;
-    `after`: any later state beyond the snap; `force_tolerance`: as in `relax`.
+    **Arguments:** `before`: a state shortly before the snap, earlier than the limit point; `after`: any later
+    state beyond the snap; `force_tolerance`: as in `relax`.
 
-    **Raises:** ValueError when an equilibrium is not found, or both states come to rest in the same one.
+    **Raises:** ValueError if a relaxation does not converge, or if both states relax to the same equilibrium.
     """
     check_state(scene, before)
     check_state(scene, after)
@@ -67,15 +67,15 @@ def energy_drop(scene: Scene, before: State, after: State, *, force_tolerance: f
 def relaxed_drop(
     setup: Setup, before: float, after: float, *, steps: int = 20, force_tolerance: float | None = None
 ) -> Drop:
-    """`energy_drop` of a scene without any integrator.
+    """Return the `energy_drop` of a scene, by relaxation without time integration.
 
-    **Arguments:** `before`: time in s whose load the first branch still bears; it is followed from rest
-    to there in `steps` equal loads, each relaxed; `after`: time in s whose load is beyond the limit
-    point, where relaxation leads to the inverted side.
+    **Arguments:** `before`: time in s of a load below the limit point; the function follows the first branch
+    to it from rest in `steps` equal increments, each relaxed; `after`: time in s of a load beyond the limit
+    point, where the sheet relaxes to the inverted shape.
     """
     if not isinstance(setup, Setup):
         raise ValueError(
-            f"setup has type {type(setup).__name__}; it must be a Setup, as jaxcrumple.arch makes."
+            f"setup has type {type(setup).__name__}; it must be a Setup, as jaxcrumple.arch returns."
         )
     scene = setup.scene
     state = initial_state(scene, setup.x)
@@ -92,27 +92,27 @@ def _rest(scene: Scene, state: State, t: ArrayLike, force_tolerance: float | Non
     rest = relax(scene, moved, force_tolerance=force_tolerance)
     if not rest.converged:
         raise ValueError(
-            f"no equilibrium found at t = {float(t):.4g} s: {float(rest.max_force):.2g} N are left on a node "
-            f"after {int(rest.iterations)} iterations ({rest.reason}); choose a time away from the "
-            "limit point."
+            f"no equilibrium found at t = {float(t):.4g} s: the largest force is "
+            f"{float(rest.max_force):.2g} N after {int(rest.iterations)} iterations ({rest.reason}); choose "
+            "a time away from the limit point."
         )
     return rest
 
 
 def _stored(scene: Scene, state: State) -> tuple[float, float]:
-    """Elastic energy and potential energy in J."""
+    """Return elastic energy and potential energy in J."""
     parts = _energies(with_contacts(scene, state.x), state.x, state.v, state.p, state.t)
     return float(parts.stretch + parts.bending), float(sum(parts[:-1], jnp.zeros(())))
 
 
 def fixed(where: np.ndarray, x: np.ndarray) -> Prescribed:
-    """The nodes `where` (n,) bool held at their positions `x` (n, 3) in m."""
+    """Fix the nodes with mask `where` (n,) at their positions `x` (n, 3) in m."""
     mask = jnp.asarray(np.repeat(where[:, None], 3, axis=1))
     return Prescribed(mask, LinearMotion(jnp.asarray(x), jnp.zeros(3)))
 
 
 def sheet_material(material: Material | None, plastic: bool) -> Material:
-    """`material`, by default `Material()`; elastic unless `plastic`."""
+    """Return `material`, default `Material()`, without yield unless `plastic`."""
     material = material or Material()
     return material if plastic else replace(material, yield_curvature=None, yield_c0=None)
 
@@ -125,8 +125,7 @@ def check_positive(**values: float) -> None:
 
 
 def check_gap(gap: float, thickness: float, most: float = np.inf, where: str = "") -> None:
-    """Refuse a gap in m that two layers of a sheet fill, or that is `most` m or more, which is a depth
-    `where` describes."""
+    """Refuse a gap in m of at most two thicknesses or at least `most` in m; `where` names that limit."""
     if not 2.0 * thickness < gap < most:
         other = f", and less than {where}, {most:.3g} m" if where else ""
         raise ValueError(

@@ -1,6 +1,6 @@
-"""Stamping: a disc pressed into a die by a ball (Fig. 7), and a curved shell pressed flat.
+"""Stamping: a ball presses a disc into a die (Fig. 7), and a plate presses a curved shell flat.
 
-After Hure, Roman & Bico, Phys. Rev. Lett. 109, 054302 (2012), and, for the shell, Tobasco et al.,
+References: Hure, Roman & Bico, Phys. Rev. Lett. 109, 054302 (2012); for the shell, Tobasco et al.,
 arXiv:2004.02839.
 """
 
@@ -31,21 +31,21 @@ def stamping(
     speed: float = 0.02,
     **options: Any,
 ) -> Setup:
-    """A disc that lies in a spherical die, and a ball that presses it to the bottom.
+    """Build a disc in a spherical die and a ball that presses it to the bottom.
 
-    The ball comes down until its centre is that of the die; then the sheet has the `gap` between them.
+    The ball descends until it is concentric with the die; the space between them is then the `gap`.
 
-    **Arguments:** `nodes` of the random mesh made with `seed`; `radius` of the disc, `die`: that of the
-    spherical die, `gap` in m; `speed` of the ball in m/s from the sheet on, and a little more with the
-    clearance before; `options` of the sheet: `SheetOptions`.
+    **Arguments:** `nodes`, `seed`: number of nodes and seed of the random mesh; `radius` of the disc, `die`:
+    radius of the die, `gap` in m; `speed` of the ball in m/s, without the initial clearance (the actual speed
+    is slightly higher); `options` of the sheet: `SheetOptions`.
 
     **Raises:** ValueError for lengths or a speed that are not positive, a disc that does not fit into the
-    die, or a gap that the sheet fills.
+    die, or a gap of at most two thicknesses or at least the depth of the die under the disc.
     """
     check_positive(radius=radius, die=die, gap=gap, speed=speed)
     sheet = SheetOptions(**options)
     rim = radius + 2.0 * sheet.clearance
-    # Where the rim is nearest to the die there is one clearance at least.
+    # The rim starts at least one clearance from the die.
     inner = die - sheet.clearance - sheet.imperfection
     if die < rim or inner < radius:
         least = max(rim, radius + die - inner)
@@ -66,7 +66,7 @@ def stamping(
 
 
 def stamping_time(die: float, radius: float, gap: float, speed: float) -> float:
-    """Time in s after which the ball is at the bottom."""
+    """Return the time in s at which the ball reaches the bottom."""
     return (die - gap - math.sqrt(max(die**2 - radius**2, 0.0))) / speed
 
 
@@ -81,15 +81,15 @@ def shell(
     speed: float = 0.02,
     **options: Any,
 ) -> Setup:
-    """A shell, at rest a cap of a ball, that a plate presses flat onto another.
+    """Build a shell, a spherical cap at rest, that two plates press flat.
 
-    **Arguments:** `nodes` of the random mesh made with `seed`; `radius`: length of the shell from its apex to
-    its rim, `curvature_radius` of the ball, `gap` that is left between the plates in m; `speed` of the upper
-    one in m/s from the shell on, and a little more with the clearance before; `options` of the
-    sheet: `SheetOptions`.
+    **Arguments:** `nodes`, `seed`: number of nodes and seed of the random mesh; `radius`: arc length from
+    apex to rim, `curvature_radius` of the sphere, final `gap` between the plates in m; `speed` of the upper
+    plate in m/s, without the initial clearance (the actual speed is slightly higher); `options` of the sheet:
+    `SheetOptions`.
 
-    **Raises:** ValueError for lengths or a speed that are not positive, a shell that is more than half of a
-    ball, or a gap that it fills.
+    **Raises:** ValueError for lengths or a speed that are not positive, a shell of more than half a sphere,
+    or a gap of at most two thicknesses or at least the height of the shell.
     """
     check_positive(radius=radius, curvature_radius=curvature_radius, gap=gap, speed=speed)
     sheet = SheetOptions(**options)
@@ -109,5 +109,5 @@ def shell(
 
 
 def shell_time(radius: float, curvature_radius: float, gap: float, speed: float) -> float:
-    """Time in s after which the shell is flat."""
+    """Return the time in s at which the shell is flat."""
     return (curvature_radius * (1.0 - math.cos(radius / curvature_radius)) - gap) / speed

@@ -1,4 +1,4 @@
-"""`integrate`: the stages of a scheme and the changes between them as one traced function."""
+"""`integrate`: run the stages of a scheme, and the changes between them, as one traced function."""
 
 from typing import Any, NamedTuple
 
@@ -40,19 +40,19 @@ from jaxcrumple.solvers.switch import observe
 from jaxcrumple.solvers.work import booked
 from jaxcrumple.state import CAUSES, EXPLICIT, RESULTS, Counters, State, check_state
 
-# Cost units: a call ends after BUDGET units, so that its caller can save, and reports in between.
+# A call ends after BUDGET cost units, so that its caller can save and report.
 BUDGET = 4096
 IMPLICIT_COST, EXPLICIT_COST = 32, 1
-# One explicit step in this many is logged: they are short and many.
+# The log keeps one explicit step in this many, because explicit steps are short and numerous.
 EXPLICIT_LOG_EVERY = 16
 LOG_CAPACITY = BUDGET // IMPLICIT_COST + BUDGET // EXPLICIT_LOG_EVERY + 64
-# Steps of a stage from one measurement of the stability limit to the next: it follows the folding.
+# Steps of a stage between measurements of the stability limit, which changes as the sheet folds.
 LIMIT_EVERY = 64
-# Lists of contact are made to hold for this many explicit steps.
+# Explicit steps for which the contact lists are built to stay valid.
 LOOK_AHEAD = 16
-# Rounds of lists and changes of stage, without a step between, after which a call ends.
+# A call ends after this many consecutive rounds of list rebuilds and stage changes without a step.
 MOST_ROUNDS = 64
-# Relative to the time, a step below this is lost to rounding.
+# Smallest step relative to the time: rounding removes shorter ones.
 SMALLEST_STEP = 1e-13
 
 
@@ -78,17 +78,17 @@ def integrate(
     max_attempts: ArrayLike = jnp.inf,
     trail: int = 0,
 ) -> tuple[State, Log]:
-    """Advance a state until `t_stop`, or until `max_attempts` steps or this call's own budget are used up.
+    """Advance a state to `t_stop` in s, or until `max_attempts` or the budget of one call are used up.
 
-    Pure and traced: wrap it in `eqx.filter_jit`; numbers may change without recompiling. The
-    returned state has `result` success if nothing went wrong, and time `t_stop` if it got there;
-    call again to go on. The step sequence depends on the state alone, so a saved state continues as
-    an uninterrupted run does. `trail`: accepted steps of this call that the log keeps with their positions,
-    after which it ends; 0 for none and no end.
+    The function is pure: wrap it in `eqx.filter_jit`; new numbers do not recompile it. The returned state has
+    `result` success if no step failed for good, and time `t_stop` if it reached that time; call again to
+    continue. The step sequence depends on the state alone, so that a saved state continues like an
+    uninterrupted run. `trail`: the log keeps up to this many accepted steps with their positions, and the
+    call ends when it is full; 0 keeps none and sets no limit.
 
     **Returns:** the new `State` and the `Log` of this call.
 
-    **Raises:** ValueError for a state of another scene or what is no solver.
+    **Raises:** ValueError for a state of another scene, or an object that is not a solver.
     """
     check_state(scene, state)
     checked_solver(solver)
@@ -102,7 +102,7 @@ def integrate(
     factor = None if solver.implicit is None else solver.implicit.linear.start(scene.pattern)
     left, log = as_float(max_attempts), empty_log(LOG_CAPACITY, scene.n_nodes, trail)
     nothing = jnp.asarray(0)
-    # A factor serves the steps after its own with solvers whose factors are exact.
+    # Only an exact solver reuses a factor in later steps. It has none at the start of a call.
     held = jnp.asarray(solver.implicit is None or not solver.implicit.linear.exact)
     carry = _Carry(state, lists, log, factor, held, stay(state), nothing, nothing, left, state.t >= t_stop)
 
@@ -125,9 +125,9 @@ def integrate(
 
 
 def _renewed(scene: Scene, carry: _Carry, solver: Integrator) -> _Carry:
-    """The loop before its next steps: lists made anew and the stability limit measured where that is due.
+    """Rebuild the contact lists and measure the stability limit, if the next step needs it.
 
-    The limit is part of the state, so that a run cut anywhere goes on with the same numbers.
+    The limit is part of the state, so that an interrupted run continues with the same numbers.
     """
     state, lists = renewed(scene, carry.state, carry.lists)
     now, waiting = listed(scene, lists), waits(state)
@@ -141,18 +141,18 @@ def _renewed(scene: Scene, carry: _Carry, solver: Integrator) -> _Carry:
 
 
 def _limit_is_due(carry: _Carry) -> Array:
-    """Whether the stability limit must be measured before the next step."""
+    """Return whether the stability limit must be measured before the next step."""
     monitor = carry.state.monitor
     return (monitor.steps % LIMIT_EVERY == 0) & ~monitor.measured & ~_restores(carry)
 
 
 def _restores(carry: _Carry) -> Array:
-    """Whether the next attempt only makes the last step's factor again."""
+    """Return whether the next attempt only recomputes the factor of the lagged tangent."""
     return jnp.asarray(False) if carry.factor is None else must_restore(carry.state.kept, carry.held)
 
 
 def _is_sound(scene: Scene, state: State) -> Array:
-    """Whether stability limit and scales are finite: where they are not, no step can end well."""
+    """Return whether stability limit and scales are finite; otherwise every step fails."""
     numbers = (state.limit.step, scene.reference_acceleration, scene.velocity_scale, scene.length_scale)
     return jnp.all(jnp.isfinite(jnp.stack(numbers)))
 
@@ -167,7 +167,7 @@ def _going(carry: _Carry) -> Array:
 
 
 def _interrupted(carry: _Carry) -> Array:
-    """Whether something is due before the next step: another stage, the stability limit, or lists."""
+    """Return whether a stage change, a limit measurement or a list rebuild must precede the next step."""
     over = (carry.handover.stage != carry.state.stage) | _limit_is_due(carry)
     return over if carry.lists is None else over | carry.lists.due
 
@@ -175,7 +175,7 @@ def _interrupted(carry: _Carry) -> Array:
 def _tried(
     carry: _Carry, state: State, log: Log, handover: Handover, cost: int, accepted: Array, lands: Array
 ) -> _Carry:
-    """The loop after another attempt."""
+    """Return the loop variables after another attempt."""
     return carry._replace(
         state=state,
         log=log,
@@ -188,14 +188,16 @@ def _tried(
 
 
 def _clip_step(t: Array, h: Array, t_stop: Array) -> tuple[Array, Array]:
-    """Step that lands on `t_stop` without a sliver before it, and whether it lands."""
+    """Shorten a step so that it ends at `t_stop`, or leaves at least half of the remaining time.
+
+    Returns the step in s, and whether it ends at `t_stop`."""
     left = t_stop - t
     lands = h >= left * (1.0 - 1e-9)
     return jnp.where(lands, left, jnp.where(h > 0.5 * left, 0.5 * left, h)), lands
 
 
 def _implicit_stages(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
-    """Run the quasistatic stage and the implicit one with inertia, until an explicit one is due."""
+    """Run the quasistatic stage and the implicit stage with inertia until the stage changes."""
 
     def unfinished(carry: _Carry) -> Array:
         return _going(carry) & (carry.state.stage != EXPLICIT) & ~_interrupted(carry)
@@ -210,7 +212,7 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
     assert solver.implicit is not None
     state = carry.state
     wanted = jnp.minimum(state.h, solver.max_step)
-    # The step that aligns the velocity with the forces is as short as an explicit one.
+    # The step that aligns the velocity with the forces is as short as an explicit step.
     aligning = aligns(state)
     wanted = jnp.where(aligning, jnp.minimum(wanted, solver.limit(scene, state)), wanted)
     bounded = jnp.asarray(False)
@@ -245,7 +247,7 @@ def _implicit_attempt(
     tried = solver.implicit.attempt(scene, state, h, carry.factor, carry.held)
     moved = _moved(scene, state, tried, h, jnp.where(lands, t_stop, state.t + h), solver)
     suggested = tried.next_h
-    # A step shortened only to land on a given time must not make the next one short.
+    # A step shortened to end at `t_stop` must not shorten the next one.
     held = tried.accepted & ((h < wanted) | aligning)
     suggested = jnp.where(held, jnp.maximum(suggested, state.h), suggested)
     suggested = jnp.where(jnp.isfinite(suggested), suggested, 0.1 * h)
@@ -275,7 +277,7 @@ def _implicit_attempt(
 
 
 def _moved(scene: Scene, state: State, tried: Attempt, h: Array, t: Array, solver: Integrator) -> State:
-    """The state after an implicit step, or as it was where the step is rejected."""
+    """Return the state after an implicit step, or the old state if the step is rejected."""
     moved = eqx.tree_at(
         lambda s: (s.t, s.x, s.v, s.history, s.monitor),
         state,
@@ -291,7 +293,7 @@ def _moved(scene: Scene, state: State, tried: Attempt, h: Array, t: Array, solve
 
 
 def _with_work(scene: Scene, before: State, after: State, h: Array) -> State:
-    """The state after an accepted step with its ledger, if it keeps one."""
+    """Update the work ledger after an accepted step, if the state has one."""
     if before.work is None:
         return after
     return eqx.tree_at(lambda s: s.work, after, booked(scene, before, after, h))
@@ -310,12 +312,12 @@ def _count(counters: Counters, stage, accepted, cause, newton=0, linear=0, facto
 
 
 def _is_tiny(h: Array, t: Array) -> Array:
-    """Whether a step would be lost to rounding."""
+    """Return whether a step of `h` s is so short that rounding removes it."""
     return h < SMALLEST_STEP * jnp.maximum(t, 1.0)
 
 
 def _given_up(state: State, lost: Array, cause: Array) -> State:
-    """The state with the result of a run that no step leads on."""
+    """Set the result of a run that is `lost`: no step succeeds, and the last one failed for `cause`."""
     state = _with_result(state, lost, RESULTS.collapsed)
     for name, result in (("contact", RESULTS.blocked), ("nonfinite", RESULTS.nonfinite)):
         state = _with_result(state, lost & (cause == CAUSES.index(name)), result)
@@ -327,7 +329,7 @@ def _with_result(state: State, failed: Array, result: Any) -> State:
 
 
 def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
-    """Run the explicit stage for as long as it lasts."""
+    """Run the explicit stage until it ends or is interrupted."""
 
     def body(carry: _Carry) -> _Carry:
         return _explicit_step(scene, carry, t_stop, solver)
@@ -338,7 +340,7 @@ def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrat
 
 
 def _takes_explicit(carry: _Carry) -> Array:
-    """Whether the next step is an explicit one."""
+    """Return whether the next step is explicit."""
     return _going(carry) & (carry.state.stage == EXPLICIT) & ~_interrupted(carry)
 
 
@@ -362,7 +364,7 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
 
     holds, held = still_ready(scene, state, carry.lists, following, differs), (state, carry.lists, True)
     after, lists, ready = jax.lax.cond(holds, lambda: held, looked_ahead)
-    # A batch takes this step in all its lanes.
+    # Under vmap every lane runs this code, so each lane must check for itself that it takes the step.
     going = ready & _takes_explicit(carry)
 
     def attempt(carry: _Carry) -> _Carry:

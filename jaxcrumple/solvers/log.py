@@ -1,4 +1,4 @@
-"""The record of steps that a traced integration keeps for its caller."""
+"""The log of steps that the traced `integrate` returns."""
 
 from typing import NamedTuple
 
@@ -16,8 +16,9 @@ EVENT_COLUMNS = (
 
 
 class Row(NamedTuple):
-    """One line of `history.csv`; energies and work in J, times in s, counts and work since the start of the
-    run."""
+    """Hold one line of `history.csv`: energies and work in J, times in s.
+
+    Counts and work are totals since the start of the run."""
 
     kind: Array | int
     t: Array
@@ -50,8 +51,10 @@ class Row(NamedTuple):
 
 
 class Trail(NamedTuple):
-    """Accepted steps in order, the first `length` of them valid: `x` (capacity, n, 3) m and `t` s at their
-    ends, their size `h` s, `stage` and `order` (capacity,)."""
+    """Hold accepted steps in order; the first `length` entries are valid.
+
+    `x` (capacity, n, 3) m and `t` s at the end of each step, its size `h` s, `stage` and `order`
+    (capacity,)."""
 
     x: Array
     t: Array
@@ -62,12 +65,12 @@ class Trail(NamedTuple):
 
     @property
     def full(self) -> Array:
-        """Whether there is no room for another step."""
+        """Return whether there is no room for another step."""
         return self.length >= self.t.shape[0]
 
 
 class Log(NamedTuple):
-    """Rows (capacity, columns), the first `length` of them valid, and the trail, where one is wanted."""
+    """Hold rows (capacity, columns), of which the first `length` are valid, and a trail or None."""
 
     rows: Array
     length: Array
@@ -75,12 +78,12 @@ class Log(NamedTuple):
 
     @property
     def capacity(self) -> int:
-        """Rows that fit."""
+        """Return the largest number of rows."""
         return self.rows.shape[0]
 
 
 def empty_log(capacity: int, nodes: int = 0, steps: int = 0) -> Log:
-    """A log without rows, with a trail of a sheet of `nodes` with room for `steps`, if any."""
+    """Build a log without rows, with a trail for `steps` steps of a sheet of `nodes` nodes (none if 0)."""
     zero = jnp.asarray(0)
     trail = None
     if steps:
@@ -90,7 +93,7 @@ def empty_log(capacity: int, nodes: int = 0, steps: int = 0) -> Log:
 
 
 def append(log: Log, row: Row, wanted: Array | bool = True) -> Log:
-    """Log with `row` added, or unchanged unless `wanted`."""
+    """Append `row` to the log if `wanted`."""
     values = jnp.stack([jnp.asarray(value, log.rows.dtype) for value in row])
     index = jnp.where(wanted, log.length, log.capacity)
     rows = log.rows.at[index].set(values, mode="drop")
@@ -98,7 +101,7 @@ def append(log: Log, row: Row, wanted: Array | bool = True) -> Log:
 
 
 def follow(log: Log, x: Array, t: Array, h: Array, stage: Array, order: Array | int, accepted: Array) -> Log:
-    """Log with a step in its trail, if it has one and the step is `accepted`."""
+    """Append a step to the trail of the log, if it has a trail and the step is `accepted`."""
     trail = log.trail
     if trail is None:
         return log

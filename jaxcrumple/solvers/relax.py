@@ -21,64 +21,66 @@ from jaxcrumple.solvers.start import check_gap, check_start
 from jaxcrumple.state import State, check_state, restarted
 from jaxcrumple.system import elastic_tangent, energies, force_terms
 
-# The shift is a pseudo inertia: m * shift is added to the stiffness. It starts at SHIFT_START times
-# the largest spring frequency squared, shrinks after a success, by SHRINK at most and less where edges
-# already turn by AIM rad, and grows after a failure, as after a step that turns an edge by more than TURN.
+# The shift is a pseudo inertia: m * shift is added to the stiffness. It starts at SHIFT_START times the
+# largest spring frequency squared. A success reduces it by the factor SHRINK at most, and less when edges
+# already turn by up to AIM rad. A failure multiplies it by GROW; a turn of more than TURN rad is a failure.
 SHIFT_START, SHIFT_FLOOR = 1e-4, 1e-16
 SHRINK, GROW = 0.1, 6.0
 AIM, TURN = 0.3, 1.0
-# A straight step lengthens the edges that it turns. So many further solves with the same factor take that
-# back, until the forces of it change by less than SETTLED of those that drive the step.
+# A straight step lengthens the edges that it turns. Up to CORRECTIONS further solves with the same factor
+# correct this, until the turning forces change by less than SETTLED of the forces that drive the step.
 CORRECTIONS, SETTLED = 5, 0.1
 # Relative residual of the linear systems.
 FORCING = 1e-6
-# Shift at which the eigenvalues of the stiffness are counted, in the same units.
+# Shift for the count of negative eigenvalues, in units of the largest spring frequency squared.
 PROBE_SHIFT = 1e-12
-# Share of the reach of the lists of contact that a step may take.
+# A step may use this share of the reach of the contact lists.
 STRIDE = 0.99
-# Default tolerance: this share of the force scale, but no less than so many roundings.
+# Default tolerance: the share RELATIVE of the force scale, but at least ROUNDINGS times the rounding error.
 RELATIVE, ROUNDINGS = 1e-9, 8.0
-# Energies that differ by less, relative to the magnitudes they are sums of, count as equal.
+# Energies count as equal below this difference, relative to the sum of the magnitudes of their terms.
 SAME = 1e-10
-# Edges that meet in a node of a regular mesh: their springs add up.
+# Edges at a node of a regular mesh; their stiffnesses add up.
 VALENCE = 6.0
 
 
 class RELAXED(eqx.Enumeration):  # type: ignore[misc]
-    """Why `relax` stopped."""
+    """Name why `relax` stopped."""
 
     converged = "the net force on every free node is within the tolerance"
-    budget = "max_iterations were used up; call relax again with the state to go on"
+    budget = "max_iterations were used up; call relax again with the state to continue"
     loose = (
         "force_tolerance is above all forces that act on any node, so that every position would count as "
-        "equilibrium; nothing was moved. Leave it out, or give less than the load of one node"
+        "equilibrium; no node was moved. Leave it out, or give a value below the load of one node"
     )
     stalled = (
-        "no step lowers energy or force any more: what is left is rounding, and force_tolerance asks for "
-        "less. Leave it out, or give more"
+        "no step lowers energy or force any more: what is left is rounding error, and force_tolerance is "
+        "smaller. Leave it out, or give a larger one"
     )
-    blocked = "what would lower the energy further passes through a wall or the sheet itself"
-    unstable = "max_iterations were used up while the stiffness had negative eigenvalues, as beside a snap"
+    blocked = "every step that lowers the energy further passes through a wall or the sheet itself"
+    unstable = "max_iterations were used up while the stiffness had negative eigenvalues, as near a snap"
     reach = (
-        "the lists of contact reach no further; call relax outside of jit, grad and vmap, which renews them"
+        "the next step leaves the reach of the contact lists; call relax outside of jit, grad and vmap, "
+        "where it rebuilds them"
     )
     nonfinite = (
-        "energies or forces are not finite at the last positions or beside them. Look for edges of length "
-        "zero, layers within the core of a barrier, or a parameter that is NaN"
+        "energies or forces are not finite at the last positions or after the next step. Look for edges of "
+        "length zero, layers within the core of a barrier, or a parameter that is NaN"
     )
 
 
-# The same for type checkers, to whom the members are strings.
+# The same enumeration without a type, because type checkers take its members for strings.
 _WHY: Any = RELAXED
 
 
 class Relaxed(NamedTuple):
-    """Outcome of `relax`.
+    """Hold the outcome of `relax`.
 
-    `state` at rest (v = 0); `converged`; `iterations`: tangents factored; `max_force` in N left on a free
-    node; `negative` eigenvalues of the last stiffness: above 0 the equilibrium is unstable, -1 unknown;
-    `result`: why it stopped, a member of `RELAXED`, in words `reason`; `force_scale` in N: the
-    largest sum of the magnitudes of all forces on a node, which the default tolerance is relative to.
+    `state` at rest (v = 0); `converged`; `iterations`: number of factorisations; `max_force`: largest
+    remaining force in N on a free node; `negative`: number of negative eigenvalues of the last stiffness
+    (above 0: unstable equilibrium, -1: unknown); `result`: why `relax` stopped, a member of `RELAXED`;
+    `force_scale` in N: largest sum over nodes of the magnitudes of all forces on a node, the unit of the
+    default tolerance.
     """
 
     state: State
@@ -91,12 +93,12 @@ class Relaxed(NamedTuple):
 
     @property
     def reason(self) -> str:
-        """Why it stopped, in words."""
+        """Return why `relax` stopped, in words."""
         return _WHY[self.result]
 
 
 class _Point(NamedTuple):
-    """Positions, the net `force` on free nodes, its scale, the energy and the magnitude of its terms."""
+    """Hold positions, net `force` on free nodes, force `scale`, energy, and `magnitude` of its terms."""
 
     x: Array
     force: Array
@@ -106,9 +108,12 @@ class _Point(NamedTuple):
 
 
 class _Carry(NamedTuple):
-    """`taut`: whether the next tangent leaves out what compression takes from it; `moved`: whether a step was
-    made with these lists of contact; `held_up`: whether one more after that would leave them, or pass through
-    something; `over`: a further step would be lost in rounding; `why`: what forbade the last step."""
+    """Hold the loop variables.
+
+    `taut`: whether the next tangent omits the negative stiffness of compressed edges; `moved`: whether a step
+    succeeded with these contact lists; `held_up`: whether a later step with them was rejected because it
+    would leave them or pass through something; `over`: whether rounding would remove a further step; `why`:
+    what rejected the last step."""
 
     point: _Point
     shift: Array
@@ -133,18 +138,18 @@ def relax(
 ) -> Relaxed:
     """Minimise the potential energy at the state's time, with its rest curvature p held fixed.
 
-    No step passes through a wall or through the sheet itself. The lists of contact are made anew on the host;
-    inside a function that JAX traces, those of the scene are all there is.
+    No step passes through a wall or through the sheet itself. The host rebuilds the contact lists as the
+    sheet moves. Inside a function that JAX traces, `relax` has only the lists of the scene.
 
     **Arguments:** `force_tolerance`: largest net force in N on any free node at the end; by default 1e-9 of
-    the largest sum of the magnitudes of all forces on a node, loads and reactions included, but no less than
-    rounding leaves; `linear`: a linear solver or its name; `max_iterations`: tangents factored.
+    the largest sum of the magnitudes of all forces on a node, loads and reactions included, but at least the
+    rounding error; `linear`: a linear solver or its name; `max_iterations`: largest number of factorisations.
 
-    **Returns:** a `Relaxed`, whose `result` says why the iteration stopped.
+    **Returns:** a `Relaxed`, whose `result` states why the iteration stopped.
 
-    **Raises:** ValueError for a tolerance that is not positive, a state of another scene, or a start from
-    which no run can proceed: behind a wall, with a hinge at 180 degrees or, in a scene with contact, passing
-    through itself.
+    **Raises:** ValueError for a tolerance that is not positive, a state of another scene, or a start that no
+    run can leave: behind a wall, with a hinge at 180 degrees or, in a scene with contact, passing through
+    itself.
     """
     if force_tolerance is not None and not (is_number(force_tolerance) and force_tolerance > 0):
         raise ValueError(f"force_tolerance = {force_tolerance!r} N must be positive.")
@@ -166,7 +171,7 @@ def relax(
 
 
 def _relax_apart(scene: Scene, state: State, tolerance: Array | None, solver, left: Array) -> Relaxed:
-    """`_relax` again and again, with new lists of contact between."""
+    """Repeat `_relax`, with new contact lists for each call."""
     renewal, shift, most = Renewal(scene, solver.one_matrix), _first_shift(scene), left
     scene = renewal.first(scene, state)
     check_gap(scene, state)
@@ -183,7 +188,7 @@ def _first_shift(scene: Scene) -> Array:
 
 
 def _largest(scene: Scene) -> Array:
-    """Largest spring frequency squared in 1/s2."""
+    """Return the largest spring frequency squared in 1/s2."""
     return jnp.max(scene.membrane.stiffness) / jnp.min(scene.mass)
 
 
@@ -192,7 +197,7 @@ def _sizes(f: Array) -> Array:
 
 
 def _size(f: Array) -> Array:
-    """Largest of nodal forces (n, 3)."""
+    """Return the largest magnitude of nodal forces (n, 3)."""
     return jnp.max(_sizes(f))
 
 
@@ -211,28 +216,29 @@ def _point(scene: Scene, state: State, x: Array) -> _Point:
 
 
 def _within_reach(scene: Scene, x: Array, step: Array) -> Array:
-    """The step (n, 3) from `x`, shortened to what lists of contact that were made there allow for."""
+    """Shorten the step (n, 3) from `x` to the reach of contact lists that were built there."""
     if scene.contact is None:
         return step
     reach = STRIDE * jnp.min(scene.contact.near.around.reach)
-    # A step of zero stays one: the quotient is infinite then.
+    # A zero step gives an infinite quotient, and stays zero.
     return step * jnp.minimum(1.0, reach / jnp.max(motion(x, x + step)))
 
 
 def _turn(scene: Scene, step: Array) -> Array:
-    """Largest angle in rad, about, by which a step (n, 3) turns or stretches an edge."""
+    """Estimate the largest turn in rad, or strain, of an edge in a step (n, 3)."""
     a, b = scene.membrane.nodes.T
     return jnp.max(_sizes(step[a] - step[b]) / scene.membrane.rest_length)
 
 
 def _rounding(x: Array, stiffness: Array) -> Array:
-    """What rounding of positions leaves of the force in N on a node of this `stiffness` in N/m."""
+    """Return the force error in N that rounding of positions causes at a node of `stiffness` in N/m."""
     return jnp.finfo(x.dtype).eps * jnp.max(jnp.abs(x)) * stiffness
 
 
 def _stepped(scene: Scene, state: State, point: _Point, values: Array, factor: Factor, linear):
-    """The end (n, 3) of Newton's step, its edges no longer than its linear part makes them, and whether the
-    tangent is indefinite."""
+    """Return the positions (n, 3) after a Newton step, and whether the tangent is indefinite.
+
+    Corrections remove the second-order lengthening of edges that turn."""
 
     def correct(carry: tuple) -> tuple:
         _, count, turning, _, _ = carry
@@ -257,7 +263,7 @@ def _stepped(scene: Scene, state: State, point: _Point, values: Array, factor: F
 def _relax(
     scene: Scene, state: State, given: Array | None, linear, max_iterations: Array, shift: Array
 ) -> tuple[Relaxed, Array]:
-    """The outcome and the last shift."""
+    """Return the outcome and the last shift."""
     scene = scene if linear.one_matrix else without_places(scene)
     top = _largest(scene)
 
@@ -273,7 +279,7 @@ def _relax(
         factor = linear.factor(scene.pattern, values, carry.factor)
         x, indefinite = _stepped(scene, state, old, values, factor, linear)
         new = _point(scene, state, x)
-        # Near the minimum the energy no longer changes in float64, but the force still falls.
+        # Near the minimum the energy no longer changes in float64, but the force still decreases.
         calmer = _size(new.force) < _size(old.force)
         same = new.energy <= old.energy + SAME * old.magnitude
         through = passes(scene, eqx.tree_at(lambda s: s.x, state, old.x), x, state.t, sharpest(scene, x))
@@ -281,7 +287,7 @@ def _relax(
         turn = _turn(scene, x - old.x)
         keep = finite & ~indefinite & ~through & (turn < TURN) & ((new.energy < old.energy) | (calmer & same))
         held_up = (scene.contact is not None) & through & carry.moved
-        # The first answer to an indefinite tangent is one without what compression takes from it.
+        # After an indefinite tangent, first try a tangent without the negative stiffness of compression.
         soften = indefinite & ~carry.taut
         grown = jnp.where(held_up | soften, carry.shift, GROW * carry.shift)
         shrunk = carry.shift * jnp.clip(turn / AIM, SHRINK, 1.0)
@@ -316,14 +322,14 @@ def _relax(
         idle = (given >= point.scale) & (_size(point.force) > own_tolerance(start))
     end = jax.lax.while_loop(unfinished, body, start)
     left = _size(end.point.force)
-    # The iteration's own matrices are shifted until they are definite: judge the bare one. A trace
-    # of the shift stays, above rounding, so that rigid motions of a free sheet do not count.
+    # The iteration shifts its matrices until they are definite, so count eigenvalues of the unshifted one. A
+    # shift just above rounding remains, so that rigid motions of a free sheet do not count.
     bare = elastic_tangent(scene, end.point.x, state.p, state.t, PROBE_SHIFT * top, no)
     last = linear.factor(scene.pattern, bare, end.factor)
     linear.release(last, last.negative)
     rested = restarted(scene, state, end.point.x, jnp.zeros_like(end.point.x))
     converged = (left <= tolerance(end)) & ~idle
-    # What forbade the last step explains only an end that it brought about.
+    # The cause of the last rejection explains the end only if it stopped the iteration.
     stopped = end.over | (end.iterations >= max_iterations)
     named = (end.why == _WHY.unstable) | (end.why == _WHY.blocked)
     result = _WHY.where(end.over | named, end.why, _WHY.budget)

@@ -1,4 +1,4 @@
-"""How to integrate: which stages a scheme has, and the options of each."""
+"""Integration schemes: the stages of a scheme and their options."""
 
 from typing import Any, Literal, get_args
 
@@ -23,21 +23,21 @@ from jaxcrumple.state import EXPLICIT, IMPLICIT, QUASISTATIC, Limit, State
 
 Scheme = Literal["hybrid", "dynamic", "alternating", "quasistatic", "explicit", "paper"]
 SCHEMES = get_args(Scheme)
-# Thresholds of the switch in units of rtol: three times less error than ten times these, at the same cost.
+# Thresholds of the switch in units of rtol. Thresholds ten times higher cost the same and triple the error.
 SWITCH_UP, SWITCH_DOWN = 3.0, 1.0
 
-# Share of the tolerance that the local error of a step with inertia may use: in a snap, which forgets most
-# of what its steps leave behind; and where inertia is on throughout, what keeps the error of a run below
-# rtol at order 2.
+# Share of the tolerance that the local error of a step with inertia may use. SNAP_SHARE applies to inertia in
+# snaps only: a snap damps most of its local errors. REFERENCE_SHARE applies to inertia throughout: it keeps
+# the error of a run below rtol at order 2.
 SNAP_SHARE, REFERENCE_SHARE = 0.1, 0.0008
 
 
 class Integrator(eqx.Module):
-    """Stages and their options.
+    """Hold the stages of a scheme and their options.
 
-    - `stages`: those the scheme may use, first that in which a new state starts.
-    - `implicit`, `explicit`: their steps; None where no stage needs them.
-    - `switch`: when to change the stage.
+    - `stages`: the stages of the scheme; a new state starts in the first one.
+    - `implicit`, `explicit`: methods of the implicit and explicit steps; None if no stage needs them.
+    - `switch`: thresholds for changes of stage.
     - `first_step`: first implicit step of a run in s.
     - `restart_steps`: first quasistatic step after an explicit stage, in explicit stability limits.
     - `max_step`: largest step in s.
@@ -52,20 +52,21 @@ class Integrator(eqx.Module):
     max_step: Array | float = eqx.field(default=jnp.inf, converter=as_float)
 
     def has(self, stage: int) -> bool:
-        """Whether the scheme may use a stage."""
+        """Return whether the scheme has a stage."""
         return stage in self.stages
 
     def stability_limit(self, scene: Scene, x: Array, t: Array, p: Array | None = None) -> Array:
-        """Largest stable explicit step in s at positions `x` (n, 3), time `t`, rest curvatures `p` (h,)."""
+        """Compute the largest stable explicit step in s at positions `x` (n, 3), time `t` and p (h,)."""
         return self._method.stable(fastest(scene, x, t, p))
 
     def measured(self, scene: Scene, x: Array, t: Array, p: Array | None) -> Limit:
-        """The limit that a state keeps."""
+        """Compute the stability limit, with the wall stiffness, for `State.limit`."""
         return Limit(self.stability_limit(scene, x, t, p), wall_stiffness(scene, x, t))
 
     def limit(self, scene: Scene, state: State) -> Array:
-        """Largest stable explicit step in s at a state: the scale of the shortest steps also where the scheme
-        has no explicit ones."""
+        """Return the largest stable explicit step in s at a state.
+
+        It is the scale of the shortest steps, also in schemes without explicit steps."""
         return beside_walls(scene, state.limit, state.x, state.t, self._method.stable)
 
     @property
@@ -74,14 +75,15 @@ class Integrator(eqx.Module):
 
     @property
     def one_matrix(self) -> bool:
-        """Whether the linear solver wants the tangent in one matrix."""
+        """Return whether the linear solver needs sheet and contact merged into one matrix."""
         return self.implicit is not None and self.implicit.linear.one_matrix
 
 
 def switch_of(scheme: str, rtol: float, **options: Any) -> Switch:
-    """A scheme's own switch at a tolerance, with `options` of it given otherwise.
+    """Return the default switch of a scheme at tolerance `rtol`; `options` replace its fields.
 
-    Where `up` is given alone, `down` keeps its ratio. The paper has fixed thresholds, on another measure.
+    If `options` has `up` only, `down` keeps its ratio to `up`. The scheme "paper" has fixed thresholds, on
+    another measure.
     """
     up = options.get("up", SWITCH_UP * rtol)
     own: dict[str, Any] = {"up": up, "down": up * SWITCH_DOWN / SWITCH_UP}
@@ -91,12 +93,12 @@ def switch_of(scheme: str, rtol: float, **options: Any) -> Switch:
 
 
 def checked_solver(solver: Any) -> Integrator:
-    """The solver of a run.
+    """Return the solver of a run.
 
-    **Raises:** ValueError for what is none.
+    **Raises:** ValueError for an object that is not an Integrator.
     """
     if not isinstance(solver, Integrator):
-        raise ValueError(f"solver = {solver!r} must be what jaxcrumple.integrator(rtol, scheme=...) makes.")
+        raise ValueError(f"solver = {solver!r} must come from jaxcrumple.integrator(rtol, scheme=...).")
     return solver
 
 
@@ -111,21 +113,22 @@ def integrator(
     rho_infinity: float = 0.0,
     max_step: Array | float = jnp.inf,
 ) -> Integrator:
-    """An integrator at relative tolerance `rtol`, with steps of `max_step` s at most.
+    """Build an integrator with relative tolerance `rtol` and steps up to `max_step` s.
 
     **Arguments:**
 
-    - `scheme`: "hybrid" (inertia throughout, by implicit steps or, where these get as short, by explicit
-      ones), "dynamic" (implicit with inertia), "alternating" (quasistatic, and as "hybrid" when accelerations
-      call for inertia), "quasistatic" (never inertia), "explicit", "paper" (the paper's: BDF pair,
-      explicit snaps, its thresholds and its preconditioner).
-    - `linear`: a linear solver or its name; by default "auto", and "block-cg" in the paper's scheme.
-    - `max_order`: largest order of an implicit step, 1 to 5; with inertia 2 at least.
-    - `rho_infinity`: high-frequency dissipation of implicit steps with inertia: the share of a mode of
-      infinite frequency that a step leaves, from 0 to 1.
+    - `scheme`: "hybrid" (inertia throughout, by implicit steps, or by explicit steps when the implicit steps
+      become as short), "dynamic" (implicit with inertia), "alternating" (quasistatic; as "hybrid" when
+      the accelerations require inertia), "quasistatic" (no inertia), "explicit", "paper" (the paper's scheme:
+      BDF pair, explicit snaps, its thresholds and its preconditioner).
+    - `linear`: a linear solver or its name; the default is "auto", and "block-cg" in the scheme "paper".
+    - `switch`: thresholds for changes of stage; None for the scheme's defaults.
+    - `max_order`: largest order of an implicit step, 1 to 5; steps with inertia have at least order 2.
+    - `rho_infinity`: spectral radius at infinite frequency of implicit steps with inertia, from 0 to 1: the
+      share of such a mode's amplitude that one step leaves.
 
-    **Raises:** ValueError for a tolerance outside (0, 0.1), a step limit that is not positive, an
-    unknown scheme, linear solver or switch, an order or a dissipation out of range.
+    **Raises:** ValueError for a tolerance outside (0, 0.1), a step limit that is not positive, an unknown
+    scheme, linear solver or switch, or an order or `rho_infinity` out of range.
     """
     if isinstance(rtol, str) or not 0 < rtol < 0.1:
         raise ValueError(f"rtol = {rtol!r} must be a number between 0 and 0.1; 1e-2 is a good start.")
@@ -157,7 +160,7 @@ def integrator(
     stages = {
         "hybrid": (IMPLICIT, EXPLICIT),
         "dynamic": (IMPLICIT,),
-        # A state at rest or with a velocity of its own: inertia decides what becomes of it.
+        # A start may have any velocity, so that it needs inertia.
         "alternating": (IMPLICIT, QUASISTATIC, EXPLICIT),
         "quasistatic": (QUASISTATIC,),
     }[scheme]

@@ -1,4 +1,4 @@
-"""Handing over from one stage to another: when a step asks for it, and what the next stage starts with."""
+"""Changes of stage: their conditions after a step, and the start of the next stage."""
 
 from typing import NamedTuple
 
@@ -25,40 +25,41 @@ from jaxcrumple.state import (
 )
 from jaxcrumple.system import energies
 
-# A quasistatic step below this share of the explicit stability limit hands over: to integrate the
-# motion is cheaper then. Not 1, because a start at low order may need a few steps that short.
+# A rejected quasistatic step below this share of the explicit stability limit ends the stage: integrating the
+# motion is then cheaper. The share is below 1, because a start at low order may need a few such short steps.
 COLLAPSE = 0.05
-# An equilibrium that even steps of this share of m/b_iso cannot follow is lost: inertia takes over. Larger
-# values hand over earlier than the accelerations ask for, and the answer then differs by more than rtol.
+# If even steps of this share of m/b_iso cannot follow the equilibrium, a stage with inertia starts. Larger
+# values switch earlier than the accelerations require, and change the solution by more than rtol.
 LOST = 0.02
-# An implicit step costs as much as this many explicit ones; one that is not longer gives way to them.
+# An implicit step costs as much as this many explicit steps; a shorter implicit step is not worth its cost.
 BREAK_EVEN = 10
-# Explicit steps, in stability limits, before the implicit stage is tried again: twice as many after each try
-# that ended within so few steps, up to so many times.
+# Length of an explicit stage, in stability limits, before the next implicit stage is SPELL. It doubles after
+# each implicit stage of fewer than FUTILE steps, PATIENCE times at most.
 SPELL, FUTILE, PATIENCE = 200, 10, 2
 
 
 class Handover(NamedTuple):
-    """The `stage` that the next step belongs to, and, if that is a new one, the size `h` of it in s."""
+    """Name the `stage` of the next step, and the size `h` in s of its first step if the stage is new."""
 
     stage: Array
     h: Array
 
     def when(self, wanted: Array, stage: int, h: Array) -> "Handover":
-        """This one, or that to `stage` if it is `wanted`."""
+        """Return a change to `stage` with first step `h` if `wanted`, else this one."""
         return Handover(jnp.where(wanted, stage, self.stage), jnp.where(wanted, h, self.h))
 
 
 def stay(state: State) -> Handover:
-    """No change of stage."""
+    """Return the hand-over without a change of stage."""
     return Handover(state.stage, state.h)
 
 
 def after_implicit(
     scene: Scene, state: State, accepted: Array, cause: Array, solver: Integrator, bounded: Array
 ) -> Handover:
-    """Whether the stage of an implicit step, that led to `state` or was rejected for `cause`, cannot or need
-    not go on; `bounded`: contact allowed no longer step."""
+    """Choose the next stage after an implicit step, which led to `state` or was rejected for `cause`.
+
+    `bounded`: whether contact limited the length of the step."""
     quasistatic, inertial = state.stage == QUASISTATIC, state.stage == IMPLICIT
     limit, rejected, handover = solver.limit(scene, state), ~accepted, stay(state)
     short = state.h < COLLAPSE * limit
@@ -79,7 +80,7 @@ def after_implicit(
 
 
 def after_explicit(scene: Scene, state: State, accepted: Array, cap: Array, solver: Integrator) -> Handover:
-    """Whether an explicit stage, whose steps are at most `cap` s long, need not go on after a step."""
+    """Choose the next stage after an explicit step; `cap`: longest step of the stage in s."""
     if solver.has(IMPLICIT):
         spell = SPELL * 2 ** jnp.minimum(state.monitor.futile, PATIENCE)
         over = accepted & (state.monitor.since > spell * cap)
@@ -91,12 +92,12 @@ def after_explicit(scene: Scene, state: State, accepted: Array, cap: Array, solv
 
 
 def handed_over(scene: Scene, state: State, log: Log, handover: Handover) -> tuple[State, Log]:
-    """The state in its new stage, if that is another one, and both sides of the change in the log."""
+    """Change the stage of the state if `handover` asks for it, and log the states before and after."""
 
     def change() -> tuple[State, Log]:
         last = row(scene, state, BEFORE, handover.h, 0, 0.0)
         changed = _changed(state, handover)
-        # Nodes stay where they are, and so do energies.
+        # Positions and velocities do not change, and so the energies of both rows are equal.
         monitor = changed.monitor
         first = last._replace(
             kind=AFTER,
@@ -110,9 +111,11 @@ def handed_over(scene: Scene, state: State, log: Log, handover: Handover) -> tup
 
 
 def _changed(state: State, handover: Handover) -> State:
-    """The state at the start of a stage. Implicit stages share their history; an explicit one ends it."""
+    """Return the state at the start of a stage.
+
+    Implicit stages share the history; the history restarts after an explicit stage."""
     explicit = handover.stage == EXPLICIT
-    # Points made with inertia and without bear order 2 together, no more to begin with.
+    # A history that mixes points with and without inertia supports order 2 at most at first.
     kept = eqx.tree_at(lambda y: y.order, state.history, jnp.minimum(state.history.order, 2))
     fresh = restart_history(state.x, state.v, state.p)
     ended = select(explicit, state.history, kept)
@@ -146,7 +149,7 @@ def _changed(state: State, handover: Handover) -> State:
 
 
 def row(scene: Scene, state: State, kind: int, h, order, error) -> Row:
-    """The line of the log about a state."""
+    """Return the log row of a state."""
     parts = energies(scene, state.x, state.v, state.p, state.t)
     monitor, count = state.monitor, state.counters
     steps = (count.steps[QUASISTATIC], count.steps[IMPLICIT], count.steps[EXPLICIT])

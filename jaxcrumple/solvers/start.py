@@ -1,4 +1,4 @@
-"""Refuse starts from which no run can proceed: what overlaps, and what has no finite force."""
+"""Checks of the start of a run: reject sheets that overlap or have a force that is not finite."""
 
 from collections.abc import Iterable
 
@@ -12,21 +12,22 @@ from jaxcrumple.model.bending import FOLD_STOP
 from jaxcrumple.scene import Scene
 from jaxcrumple.state import State
 
-# Layers that start closer than this many ranges lie in one another.
+# Layers of a start must be at least this many contact ranges apart (penalty contact).
 CLOSEST = 1e-6
-# Distance of two triangles that is zero but for rounding, in ranges and in units in the last place of the
-# sheet's largest coordinate.
+# Two triangles touch if their distance is below the larger of ROUNDING contact ranges and PLACES units in the
+# last place of the sheet's largest coordinate.
 ROUNDING, PLACES = 1e-12, 16
-# Smallest height of a triangle in units of its longest edge, as for a mesh.
+# Smallest height of a triangle in units of its longest edge; the same as for a mesh.
 LEAST_HEIGHT = 1e-6
-# Angle in rad that a hinge must keep from 180 degrees: nearer to it, the fold stop's stiffness, which grows
-# as the third power of its inverse, exceeds that of the hinge by more than float64 resolves.
+# Smallest distance of a hinge angle from 180 degrees, in rad. The stiffness of the fold stop grows as the
+# inverse third power of this distance; below it, it exceeds the hinge's by more than float64 resolves.
 LEAST_OPENING = float(np.pi - FOLD_STOP) * np.finfo(float).eps ** (1.0 / 3.0)
 
 
 def pierced(scene: Scene, x: ArrayLike) -> np.ndarray:
-    """Edges and triangles of a self-avoiding scene that intersect at positions `x` (n, 3), as their nodes
-    (k, 5)."""
+    """Find the edges and triangles of a self-avoiding scene that intersect at positions `x` (n, 3).
+
+    Returns node numbers (k, 5): two of the edge, three of the triangle."""
     assert scene.contact is not None
     faces, edges = np.asarray(scene.contact.faces), np.asarray(scene.membrane.nodes)
     pairs = intersections(x, faces, edges)
@@ -34,10 +35,10 @@ def pierced(scene: Scene, x: ArrayLike) -> np.ndarray:
 
 
 def check_start(scene: Scene, state: State) -> None:
-    """Refuse a sheet that is behind or on a wall, has an edge without length, a triangle without area or a
-    hinge at 180 degrees, or, in a scene with contact, passes through itself. Nothing is compiled.
+    """Check that a run can start from a state, without compiling.
 
-    **Raises:** ValueError that names a node, an edge, a hinge, or an edge and a triangle.
+    **Raises:** ValueError for a node behind or on a wall, an edge without length, a triangle without area, a
+    hinge at 180 degrees or, in a scene with contact, an edge that pierces a triangle. It names the first one.
     """
     x = np.asarray(state.x)
     _check_walls(scene, state)
@@ -54,7 +55,7 @@ def _check_walls(scene: Scene, state: State) -> None:
             node = int(np.argmax(np.isnan(gap)))
             raise ValueError(
                 f"the gap between node {node} and {name} is NaN at t = {float(state.t):g} s; give the wall "
-                "finite numbers and a motion that is finite from there on."
+                "finite numbers and a motion that is finite from that time on."
             )
         node = int(np.argmin(gap))
         if gap[node] < 0:
@@ -64,7 +65,7 @@ def _check_walls(scene: Scene, state: State) -> None:
         if gap[node] == 0:
             raise ValueError(
                 f"node {node} starts on {name}, where the wall's force is infinite; move the sheet or the "
-                f"wall, by its range of {float(wall.range):.3g} m for a start without force."
+                f"wall. A start without force needs a gap of the wall's range, {float(wall.range):.3g} m."
             )
 
 
@@ -89,7 +90,7 @@ def _check_piercing(scene: Scene, x: np.ndarray) -> None:
 
 
 def _check_hinges(scene: Scene, x: np.ndarray) -> None:
-    """Refuse hinges at 180 degrees, and triangles without area, at which a hinge has no angle."""
+    """Reject hinges at 180 degrees, and triangles without area, whose hinges have no angle."""
     nodes = np.asarray(scene.bending.nodes)
     corners = [x[nodes[:, k]] for k in range(4)]
     edge, one, two = (corner - corners[0] for corner in corners[1:])
@@ -109,13 +110,13 @@ def _check_hinges(scene: Scene, x: np.ndarray) -> None:
         one_of = nodes[bad[0]]
         raise ValueError(
             f"{bad.size} hinges start folded by 180 degrees, the first at edge {_ids(one_of[:2])} between "
-            f"nodes {one_of[2]} and {one_of[3]}; there the force is infinite. Open them, to less than "
-            f"{np.degrees(FOLD_STOP):.0f} degrees for a start without force."
+            f"nodes {one_of[2]} and {one_of[3]}; there the force is infinite. Open them; for a start without "
+            f"force of the fold stop, to less than {np.degrees(FOLD_STOP):.0f} degrees."
         )
 
 
 def has_near_layers(scene: Scene, state: State) -> bool:
-    """Whether any two triangles of a self-avoiding sheet are near enough to push each other."""
+    """Return whether any two triangles of a self-avoiding sheet are near enough to push each other."""
     assert scene.contact is not None
     search = Search(scene.contact, np.asarray(scene.bending.nodes))
     pairs, _ = search.find(np.asarray(state.x), np.zeros(scene.n_nodes))
@@ -123,10 +124,10 @@ def has_near_layers(scene: Scene, state: State) -> bool:
 
 
 def check_gap(scene: Scene, state: State) -> None:
-    """Refuse layers that touch, or lie so deep in one another that forces point nowhere; the scene has its
-    lists.
+    """Check the gaps between the layers of a scene with contact lists.
 
-    **Raises:** ValueError that states their distance and names two triangles.
+    **Raises:** ValueError for layers that touch, that are so close that the contact force has no reliable
+    direction, or that lie within the core of a barrier. It states the distance and names two triangles.
     """
     contact = scene.contact
     assert contact is not None
@@ -137,7 +138,7 @@ def check_gap(scene: Scene, state: State) -> None:
         raise ValueError(
             f"the sheet starts {float(gap):.3g} m from itself, at triangles {_pair(contact, owner)}; contact "
             f"of range {float(contact.range):.3g} m needs more than {least:.3g} m. Start from layers farther "
-            "apart, or take another range."
+            "apart, or choose another range."
         )
 
 
@@ -149,14 +150,14 @@ def _check_touching(contact: Contact, size: float) -> None:
     nearest = int(np.argmin(distance))
     if distance[nearest] <= max(ROUNDING * float(contact.range), PLACES * np.spacing(size)):
         raise ValueError(
-            f"the sheet starts touching itself, at triangles {_pair(contact, nearest)}, so contact has no "
-            f"direction to push in; start from layers apart, by {float(contact.range):.3g} m for a start "
-            "without force, or leave contact out."
+            f"the sheet starts touching itself, at triangles {_pair(contact, nearest)}, so the contact force "
+            f"has no direction; separate the layers, by {float(contact.range):.3g} m for a start without "
+            "force, or leave contact out."
         )
 
 
 def _pair(contact: Contact, place: ArrayLike) -> str:
-    """The nodes of the two triangles at a place in the list of pairs."""
+    """Name the nodes of the two triangles at index `place` of the pair list."""
     triangles = np.asarray(contact.near.triangles)[int(np.asarray(place))]
     return " and ".join(_ids(nodes) for nodes in np.asarray(contact.faces)[triangles])
 

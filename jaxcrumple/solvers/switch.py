@@ -1,4 +1,4 @@
-"""When to change the representation: the acceleration monitor (Section 3.4)."""
+"""The acceleration monitor: criteria for changes between stages with and without inertia (Section 3.4)."""
 
 from typing import Any, Literal, get_args
 
@@ -15,19 +15,20 @@ Measure = Literal["displacement", "acceleration"]
 
 
 class Switch(eqx.Module):
-    """Thresholds on the mean of the last accelerations (the window's length is the state's).
+    """Set thresholds on the mean of the last accelerations. The state sets the length of this window.
 
-    - `up`: above it the quasistatic stage hands over to a stage with inertia.
-    - `down`: below it that stage hands back. `integrator` takes 3 rtol and rtol, so that what
-      quasistatic steps leave out vanishes with the tolerance; the defaults are those of rtol = 1e-4.
-    - `ignore`: quasistatic steps after a restart whose accelerations do not count (the velocity jumps to
-      the one that balances the forces, and low order makes a spurious peak).
+    - `up`: above it, the quasistatic stage hands over to a stage with inertia.
+    - `down`: below it, the stage with inertia hands back. `integrator` sets `up` = 3 rtol and `down` = rtol,
+      so that the error of neglected inertia vanishes with the tolerance. The defaults are those of
+      rtol = 1e-4.
+    - `ignore`: number of quasistatic steps after a restart whose accelerations do not count. In these steps
+      the velocity jumps to balance the forces, and low order causes a spurious peak.
     - `minimum_steps`: quasistatic steps before the monitor may switch (the paper's rule).
-    - `dwell`: inertial times m/b_iso that an implicit stage with inertia stays below `down` before it
-      hands back. At its start forces balance by construction, and a vibration rests twice a period.
-    - `measure`: "displacement" compares $a_{max} (m/b_{iso})^2 / \\sqrt A$, which is how far off
-      positions get where inertia is left out, with the thresholds; "acceleration" the paper's
-      $a_{max}/a_{ref}$, whose unit is that of stretching and grows with the number of nodes.
+    - `dwell`: time, in units of m/b_iso, that an implicit stage with inertia must stay below `down` before it
+      hands back. The forces balance at its start by construction, and a vibration rests twice a period.
+    - `measure`: "displacement" compares the thresholds with $a_{max} (m/b_{iso})^2 / \\sqrt A$, the relative
+      position error of neglected inertia. "acceleration" uses the paper's $a_{max}/a_{ref}$; its unit
+      $a_{ref}$ is set by stretching and grows with the number of nodes.
     """
 
     up: Array | float = eqx.field(default=3e-4, converter=as_float)
@@ -51,13 +52,13 @@ class Switch(eqx.Module):
             )
 
     def value(self, ratio: Any, reference_acceleration: Any, inertial_time: Any, length_scale: Any) -> Any:
-        """What a `ratio` a_max/a_ref counts as: the number that the thresholds are compared with."""
+        """Convert a `ratio` a_max/a_ref to the measure of the thresholds."""
         if self.measure == "acceleration":
             return ratio
         return ratio * reference_acceleration * inertial_time**2 / length_scale
 
     def measured(self, scene: Scene, monitor: Monitor) -> Array:
-        """The value of the monitor's mean."""
+        """Return the mean of the monitor in the measure of the thresholds."""
         scales = scene.reference_acceleration, scene.inertial_time, scene.length_scale
         return self.value(jnp.mean(monitor.ratios), *scales)
 
@@ -65,7 +66,7 @@ class Switch(eqx.Module):
 def observe(
     scene: Scene, monitor: Monitor, stage: Array, acceleration: Array, h: Array, switch: Switch
 ) -> Monitor:
-    """Monitor after an accepted step of size `h` with `acceleration` (n, 3)."""
+    """Update the monitor after an accepted step of size `h` s with `acceleration` (n, 3) in m/s2."""
     largest = jnp.sqrt(jnp.max(jnp.sum(acceleration * acceleration, axis=1)))
     counted = (stage != QUASISTATIC) | (monitor.steps >= switch.ignore)
     ratio = jnp.where(counted, largest / scene.reference_acceleration, 0.0)
@@ -76,12 +77,12 @@ def observe(
 
 
 def wants_inertia(scene: Scene, monitor: Monitor, switch: Switch) -> Array:
-    """Whether the accelerations of a quasistatic stage call for inertia."""
+    """Return whether the accelerations of a quasistatic stage require inertia."""
     return (switch.measured(scene, monitor) > switch.up) & (monitor.steps >= switch.minimum_steps)
 
 
 def has_settled(scene: Scene, monitor: Monitor, switch: Switch) -> Array:
-    """Whether a stage with inertia no longer needs it."""
+    """Return whether a stage with inertia no longer needs it."""
     calm = switch.measured(scene, monitor) < switch.down
     lasted = monitor.since >= switch.dwell * jnp.where(switch.dwell > 0, scene.inertial_time, 0.0)
     return calm & (monitor.steps >= monitor.ratios.shape[0]) & lasted

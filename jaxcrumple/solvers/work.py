@@ -1,15 +1,14 @@
-"""The work ledger: what walls and supports put into a sheet, and where it goes, step by step.
+"""The work ledger: the work of walls and supports on a sheet, its storage and its dissipation, step by step.
 
-Between the ends of an accepted step, of any stage, positions follow the cubic through both with both
-velocities. Along that path the sheet obeys the equations of motion but for a residual force $r = M\\ddot x
-- F$, so that
+Within an accepted step of any stage, positions follow the cubic Hermite interpolant of the positions and
+velocities at both ends. Along that path the sheet obeys the equations of motion up to a residual force
+$r = M\\ddot x - F$, so that
 
 $$\\Delta E = W_{walls} + W_{supports} + W_{drag} + W_{damping} + W_{plastic} + W_{numerical},$$
 
-with $W_{numerical} = \\int r\\cdot\\dot x\\,dt$ the work that a method does for which there is no cause:
-what it dissipates, and what is left out in the quasistatic stage and in changes of stage. All are
-integrated by Gauss's rule with two points. The balance of energies, which are known without any path, is
-the check of the ledger.
+with the numerical work $W_{numerical} = \\int r\\cdot\\dot x\\,dt$. It contains the dissipation of the
+method, and the terms that the quasistatic stage and changes of stage neglect. Two-point Gauss quadrature
+integrates all terms. The energies do not depend on the path, so that their balance checks the ledger.
 """
 
 import jax
@@ -20,12 +19,12 @@ from jaxcrumple.scene import Scene
 from jaxcrumple.state import State, Work
 from jaxcrumple.system import energies, force
 
-# Gauss's points on (0, 1); both weigh one half.
+# Gauss points on (0, 1), each of weight one half.
 POINTS = (0.5 - 0.5 / 3.0**0.5, 0.5 + 0.5 / 3.0**0.5)
 
 
 def booked(scene: Scene, before: State, after: State, h: Array) -> Work:
-    """The ledger after an accepted step of `h` s between two states."""
+    """Return the ledger after an accepted step of `h` s between two states."""
     assert before.work is not None
 
     def at(share: Array) -> Work:
@@ -36,7 +35,7 @@ def booked(scene: Scene, before: State, after: State, h: Array) -> Work:
 
 
 def _power(scene: Scene, before: State, after: State, h: Array, s: Array) -> Work:
-    """Power in W of all that does work, at the share `s` of a step's way."""
+    """Compute the power in W of each source of work, at the fraction `s` of a step."""
     x, v, a = _path(before, after, h, s)
     t = before.t + s * h
     p, flow = before.p, None
@@ -63,7 +62,7 @@ def _power(scene: Scene, before: State, after: State, h: Array, s: Array) -> Wor
 
 
 def _path(before: State, after: State, h: Array, s: Array) -> tuple[Array, Array, Array]:
-    """Positions, velocities and accelerations (n, 3) at the share `s` of a step's way, by Hermite's cubic."""
+    """Return positions, velocities and accelerations (n, 3) of the Hermite cubic at the fraction `s`."""
 
     def position(s: Array) -> Array:
         way, slope, end = after.x - before.x, h * before.v, h * after.v

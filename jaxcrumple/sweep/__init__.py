@@ -1,4 +1,4 @@
-"""A scene over a grid of its numbers, on all of a device, of a machine, or of many."""
+"""Run a scene over a grid of option values, on a device, on one machine, or on a cluster."""
 
 from jaxcrumple.sweep.campaign import campaign
 from jaxcrumple.sweep.cases import grid

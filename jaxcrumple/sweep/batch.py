@@ -1,4 +1,4 @@
-"""All cases of a sweep as one program: lanes with their own step sizes, stages and results."""
+"""Run all cases of a sweep as one program: lanes with individual step sizes, stages and results."""
 
 import time
 from collections.abc import Iterator, Sequence
@@ -23,7 +23,7 @@ from jaxcrumple.sweep.cases import Case, Limits, blamed
 from jaxcrumple.sweep.lanes import AXIS, Inputs, differing, lane, lanes_of, spread, stacked
 from jaxcrumple.sweep.table import Frames, Measure, Outcome, Tell
 
-# Bytes of a node in a lane, as a scene and a state.
+# Bytes per node and lane of a scene and a state.
 LANE = 6e3
 
 
@@ -35,13 +35,13 @@ def run_batch(
     devices: Sequence[jax.Device],
     tell: Tell,
 ) -> list[Outcome]:
-    """Outcomes of the cases, run side by side.
+    """Run the cases side by side and return their outcomes.
 
-    **Raises:** ValueError for cases that are not of one mesh and kind, or start where no motion leads on.
+    **Raises:** ValueError if the cases differ in mesh or kind, or if a start is impossible.
     """
     if any(case.solver.one_matrix for case in cases):
         raise ValueError(
-            "the direct solver takes one sheet at a time; take linear='two-level', or backend='processes'."
+            "the direct solver handles one sheet at a time; choose linear='two-level' or backend='processes'."
         )
     with limited_blas():
         batch = _Batch(cases, times, limits, devices)
@@ -59,7 +59,7 @@ def run_batch(
 
 
 class _Batch:
-    """Lanes on their way from frame to frame, each at its own pace."""
+    """State of all lanes; each lane advances from frame to frame with its own steps."""
 
     def __init__(self, cases: Sequence[Case], times: np.ndarray, limits: Limits, devices):
         self.times, self.limits = times, limits
@@ -76,7 +76,7 @@ class _Batch:
         self.scenes = _listed(cases, scenes, states)
         count = min(len(devices), len(cases))
         self.devices = DeviceMesh(np.array(devices[:count]), (AXIS,))
-        # Each device has as many lanes; those beyond the cases repeat the last one, and never start.
+        # Each device has the same number of lanes; spare lanes repeat the last case and never start.
         self.spare = -len(cases) % count
         self.lanes = lanes_of(self._inputs(), self.own, self.devices)
         self.states: State = stacked(states + states[-1:] * self.spare)
@@ -91,21 +91,21 @@ class _Batch:
 
     @property
     def results(self) -> np.ndarray:
-        """Names of all lanes' results."""
+        """Names of the results of all lanes."""
         names = np.full(len(self.going), "", dtype=object)
         for name in RESULT_NAMES:
             names[np.asarray(self.states.result == getattr(RESULTS, name))] = name
         return names
 
     def advance(self) -> None:
-        """One call of the program for all lanes that are going; new lists where they stopped for one."""
+        """Call the program once for all active lanes; rebuild neighbour lists if a lane stopped for it."""
         if self.start and time.perf_counter() - self.start > self.limits.seconds:
             self._end(self.going, RESULTS.budget)
             return
         made = self._attempts()
         stops = np.where(self.going, self._due, -np.inf)
         left = self.limits.attempts - made
-        # Placed alike in every call: another placement would compile another program.
+        # Use the same placement in every call: another placement would compile another program.
         moving = spread((self.states, jnp.asarray(stops), jnp.asarray(left)), self.devices)
         side_by_side = lanes.best_side_by_side(self.devices.devices[0])
         self.states = lanes.advance(self.lanes, moving, self.devices, side_by_side)
@@ -113,7 +113,7 @@ class _Batch:
         self.waits = np.where(waited, self.waits + 1, 0)
         unfinished = self.going & (np.asarray(self.states.t) < stops)
         self._end(unfinished & (self.limits.attempts <= self._attempts()), RESULTS.budget)
-        # The first call compiles, which does not count.
+        # The first call compiles; compile time does not count.
         self.start = self.start or time.perf_counter()
         self._end(self.waits > MOST_WAITS, RESULTS.collapsed)
         listing = self.states.listing
@@ -124,7 +124,7 @@ class _Batch:
             self.lanes = lanes_of(self._inputs(), self.own, self.devices)
 
     def arrived(self) -> Iterator[tuple[int, State]]:
-        """Lanes that reached their next frame, and their states; they go on to the one after."""
+        """Yield each lane that reached its next frame, with its state; then advance its target frame."""
         sound = self.results == "success"
         there = np.asarray(self.states.t) >= self._due
         for index in np.flatnonzero(self.going & sound & there).tolist():
@@ -135,18 +135,18 @@ class _Batch:
                 self._end(np.arange(len(self.going)) == index, RESULTS.intersected)
 
     def stop(self, index: int) -> None:
-        """Let a lane go no further."""
+        """Stop a lane."""
         self.reached[index] = len(self.times)
 
     def ended(self) -> np.ndarray:
-        """Lanes that have just ended."""
+        """Return the lanes that ended since the last call."""
         ended = self.going & ((self.results != "success") | (self.reached >= len(self.times)))
         self.going = self.going & ~ended
         return np.flatnonzero(ended)
 
     @property
     def _due(self) -> np.ndarray:
-        """Time in s of each lane's next frame."""
+        """Time in s of the next frame of each lane."""
         return self.times[np.minimum(self.reached, len(self.times) - 1)]
 
     def _attempts(self) -> np.ndarray:
@@ -154,20 +154,20 @@ class _Batch:
         return np.sum(np.asarray(counters.steps), axis=1) + np.sum(np.asarray(counters.rejected), axis=1)
 
     def _end(self, which: np.ndarray, result: Any) -> None:
-        """Give some of the lanes a result."""
+        """Set the result of the selected lanes."""
         if np.any(which):
             given = jax.vmap(lambda here, old: RESULTS.where(here, result, old))(which, self.states.result)
             self.states = eqx.tree_at(lambda s: s.result, self.states, given)
 
 
 def _check_size(lanes: int, nodes: int) -> None:
-    """Refuse more lanes than memory holds."""
+    """Refuse more lanes than fit into memory."""
     what = f"a batch of {lanes} lanes of {nodes} nodes"
-    require(LANE * lanes * nodes, what, "give fewer cases or nodes, or take backend='processes'")
+    require(LANE * lanes * nodes, what, "give fewer cases or nodes, or choose backend='processes'")
 
 
 def _listed(cases: Sequence[Case], scenes: Sequence[Scene], states: Sequence[State]) -> list[Scene]:
-    """Scenes of the cases with their lists of contact, in which no layers lie in one another."""
+    """Build the neighbour lists of all scenes, and refuse a start whose layers overlap."""
     scenes = batch_with_contacts(scenes, states)
     for case, scene, state in zip(cases, scenes, states, strict=True):
         if scene.contact is not None:

@@ -1,4 +1,4 @@
-"""Long campaigns: many runs, each in a folder of its own, of which only what is missing is done."""
+"""Run campaigns: many runs, each in its own folder; a repeated call completes the missing runs."""
 
 import os
 from collections.abc import Iterator, Mapping
@@ -24,9 +24,9 @@ from jaxcrumple.sweep.cluster import Cluster, connected, local_workers, run_all
 from jaxcrumple.sweep.table import Tell
 
 TABLE = "campaign.csv"
-# Bytes of the longest name that a folder may have; a table and the locks stand beside the folders.
+# Longest name of a folder in bytes. The folder of the campaign also holds a table and the locks.
 LONGEST = 255
-# The result of a run whose time was up.
+# The result of a run that used up its wall time.
 BUDGET = "budget"
 
 
@@ -38,24 +38,23 @@ def campaign(
     max_seconds: float | None = None,
     tell: Tell = lambda name, result: None,
 ) -> pd.DataFrame:
-    """Do the runs that `folder` lacks, side by side, each into the folder of its name.
+    """Complete the runs that are missing in `folder`, side by side, each in a subfolder of its name.
 
-    Runs save checkpoints as they go. What a lost worker was at goes on from there in another one, and so
-    does what is unfinished when a campaign is started again; what is finished is only read. A run that
-    breaks stops alone: it has the result "error" and its message, and is tried again the next time.
+    Runs save checkpoints. If a worker is lost, another worker resumes its run from the last checkpoint. A
+    repeated call resumes unfinished runs and only reads finished ones. A run that raises an exception does
+    not stop the others: its result is "error" with a message, and the next call tries it again.
 
-    **Arguments:** `runs`: configurations by name, of `configure` or `grid`; `cluster`: as in `sweep`, whose
-    workers must see `folder`; `max_seconds`: wall time of each run, compiling left out, after which it ends
-    with the result "budget", to go on where the campaign is started again; `tell`: called with name and
-    result of each run as it ends.
+    **Arguments:** `runs`: configurations by name, from `configure` or `grid`; `cluster`: as in `sweep`; its
+    workers must have access to `folder`; `max_seconds`: wall time of each run, without compile time, after
+    which it ends with the result "budget"; a repeated call resumes it; `tell`: called with name and result of
+    each run as it ends.
 
-    **Returns:** a table with a line for each run, the numbers of its `summary.json`. The file
-    `campaign.csv` has those of earlier campaigns into the folder as well, and is written too where this one
-    is broken off.
+    **Returns:** a table with one row for each run: the numbers of its `summary.json`. The file `campaign.csv`
+    also has the runs of earlier campaigns in the folder, and is written even if this call is interrupted.
 
-    **Raises:** ValueError for a name that is none of a folder, one that holds another run, what is no
-    configuration, or a run that cannot be built, before any of them runs; `WorkersLostError` where all
-    workers, or their scheduler, are gone.
+    **Raises:** ValueError, before any run starts, for a name that no folder can have, a folder that holds
+    another run, a value that is no configuration, or a run that cannot be built; `WorkersLostError` if all
+    workers or their scheduler are lost.
     """
     require_limit("max_seconds", max_seconds)
     place = Path(folder).absolute()
@@ -80,7 +79,7 @@ def campaign(
 
 
 def _write_table(summaries: Mapping[str, Mapping[str, Any]], place: Path) -> None:
-    """Write the table of all runs in the folder that have ended."""
+    """Write the table of all ended runs in the folder."""
     others = {path.parent.name: path.parent for path in sorted(place.glob("*/summary.json"))}
     earlier = {name: _summary(path) for name, path in others.items() if not summaries.get(name)}
     ended = {name: summary for name, summary in {**summaries, **earlier}.items() if summary}
@@ -89,33 +88,33 @@ def _write_table(summaries: Mapping[str, Mapping[str, Any]], place: Path) -> Non
 
 
 def _table(summaries: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
-    """A line for each run."""
+    """Return a table with one row for each run."""
     rows = pd.json_normalize(list(summaries.values()))
     return rows.set_index(pd.Index(list(summaries), name="run"))
 
 
 def _check_runs(runs: Mapping[str, RunConfig], place: Path) -> None:
-    """Refuse what is no campaign, and make its folder."""
+    """Check the runs of a campaign and create its folder."""
     if not isinstance(runs, Mapping) or not runs:
-        raise ConfigError("runs must be configurations by name, such as jaxcrumple.grid(...) makes.")
+        raise ConfigError("runs must be configurations by name, such as jaxcrumple.grid(...) returns.")
     for name, config in runs.items():
         if not isinstance(config, RunConfig):
             raise ConfigError(
-                f"run {name!r} is a {type(config).__name__}; make its configuration by jaxcrumple.configure."
+                f"run {name!r} is a {type(config).__name__}; make a configuration with jaxcrumple.configure."
             )
         if not isinstance(name, str) or Path(name).name != name or name.startswith(".") or name == TABLE:
-            raise ConfigError(f"run {name!r} has no name that a folder may have; choose another one.")
+            raise ConfigError(f"run {name!r} has a name that no folder may have; choose another one.")
         if (size := len(os.fsencode(name))) > LONGEST:
             raise ConfigError(
-                f"run {name[:40]!r}... has a name of {size} bytes, and a folder's may have {LONGEST}; choose "
-                "a shorter one."
+                f"run {name[:40]!r}... has a name of {size} bytes; a folder's name may have {LONGEST}; "
+                "choose a shorter one."
             )
     try:
         place.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise refusal(place, error) from error
     for name, config in runs.items():
-        # A damaged run stops alone, with its message in the table.
+        # A damaged run does not stop the others; the table holds its message.
         with suppress(RunDirectoryError) if is_run(place / name) else nullcontext():
             _check_same(name, config, place / name)
 
@@ -123,7 +122,7 @@ def _check_runs(runs: Mapping[str, RunConfig], place: Path) -> None:
 def _done(
     client: Client, runs: Mapping[str, RunConfig], place: Path, limit: float | None
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Summaries of runs by name, as they end."""
+    """Yield names and summaries of runs as they end."""
     names = list(runs)
     for _, future in run_all(client, _check, [(name, runs[name]) for name in names]):
         future.result()
@@ -134,9 +133,9 @@ def _done(
 
 
 def run_missing(config: RunConfig, folder: Path, max_seconds: float | None = None) -> dict[str, Any]:
-    """Summary of a run, begun, gone on with or read, whichever is left to do.
+    """Start, resume or read a run, as its folder requires, and return its summary.
 
-    Whoever else is at it is waited for.
+    This waits for any other process that writes into the folder.
     """
     if not is_run(folder):
         make_folder(folder)
@@ -148,13 +147,13 @@ def run_missing(config: RunConfig, folder: Path, max_seconds: float | None = Non
 
 
 def _ended(folder: Path) -> dict[str, Any]:
-    """How a run ended; empty where it has not, or only its time was up."""
+    """Return the summary of an ended run; empty for an unfinished run and for the result "budget"."""
     summary = _summary(folder)
     return {} if summary.get("result") == BUDGET else summary
 
 
 def _summary(folder: Path) -> dict[str, Any]:
-    """How a run ended; empty where it has not, or where its folder is damaged."""
+    """Return the summary of an ended run; empty if it is unfinished or its folder is damaged."""
     try:
         return RunDirectory.open(folder).read_summary() if is_run(folder) else {}
     except RunDirectoryError:
@@ -176,12 +175,12 @@ def _check_same(name: str, config: RunConfig, folder: Path) -> None:
 
 
 def _flat(config: RunConfig) -> dict[str, Any]:
-    """All options by name."""
+    """Return all options by name."""
     return pd.json_normalize(config.model_dump()).iloc[0].to_dict()
 
 
 def _check(name: str, config: RunConfig) -> None:
-    """Build a run, refuse a start from which it cannot proceed, and drop it."""
+    """Build a run to check it, and refuse an impossible start."""
     with blamed(name):
         require_config(config)
         setup = config.build()

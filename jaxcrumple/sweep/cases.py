@@ -1,4 +1,4 @@
-"""The cases of a sweep: what is asked for, as a grid, checked before any work."""
+"""Build the cases of a sweep from a grid, and check them before any run."""
 
 import inspect
 import itertools
@@ -16,20 +16,20 @@ from jaxcrumple.solvers.scheme import Integrator, integrator
 
 Scenes = str | Callable[..., Setup]
 Grid = dict[str, list[Any]]
-# Bytes of a case: its values, configuration and solver.
+# Bytes of a case: values, configuration and solver.
 CASE = 2e4
 
 
 class Limits(NamedTuple):
-    """Step attempts, and wall time in s, after which a case ends; infinite for none."""
+    """Limits of a case: step attempts, and wall time in s; infinite without a limit."""
 
     attempts: float
     seconds: float
 
 
 class Case(NamedTuple):
-    """One member of a sweep: its `values` by name, the `scene`, a function of `arguments` or the
-    configuration of a named one, and the `solver`."""
+    """One case of a sweep: its `values` by name, the `scene` (a function of `arguments`, or the configuration
+    of a named scene), and the `solver`."""
 
     values: dict[str, Any]
     scene: Callable[..., Setup] | RunConfig
@@ -37,7 +37,7 @@ class Case(NamedTuple):
     solver: Integrator
 
     def build(self) -> Setup:
-        """Mesh, scene and start.
+        """Build mesh, scene and start.
 
         **Raises:** ValueError that names the case.
         """
@@ -53,13 +53,13 @@ class Case(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The case in words, e.g. "thickness=0.0001,yield_curvature=200"."""
+        """The case as text, e.g. "thickness=0.0001,yield_curvature=200"."""
         return named(self.values)
 
 
 @contextmanager
 def blamed(name: str) -> Iterator[None]:
-    """Say of a ValueError raised inside which case it is of."""
+    """Prefix the message of a ValueError raised inside with the name of the case."""
     try:
         yield
     except ValueError as error:
@@ -67,15 +67,15 @@ def blamed(name: str) -> Iterator[None]:
 
 
 def named(values: Mapping[str, Any]) -> str:
-    """Names and values in words."""
+    """Format names and values as text."""
     return ",".join(f"{key}={'none' if value is None else value}" for key, value in values.items())
 
 
 def checked_grid(over: Mapping[str, Iterable[Any]], settings: Mapping[str, Any]) -> Grid:
-    """Values by name as lists.
+    """Return the values of each name as a list.
 
-    **Raises:** ValueError for no name, one that is among the `settings` as well, no value, one given twice,
-    or what is neither a number nor a word.
+    **Raises:** ValueError for a grid without names, a name that is also in `settings`, a name without values,
+    a repeated value, or a value that is neither a number nor a word.
     """
     for name, given in (("over", over), ("settings", settings)):
         if not isinstance(given, Mapping):
@@ -92,7 +92,7 @@ def checked_grid(over: Mapping[str, Iterable[Any]], settings: Mapping[str, Any])
             if not (value is None or isinstance(value, str | int | float)) or value != value:
                 raise ValueError(
                     f"over[{key!r}] holds {value!r}; values must be numbers or words. Vary an index, and "
-                    "look up what it stands for in the scene's function."
+                    "let the scene's function look up its meaning."
                 )
         if len(set(values)) < len(values):
             raise ValueError(f"over[{key!r}] = {values} has a value twice; leave one out.")
@@ -102,7 +102,7 @@ def checked_grid(over: Mapping[str, Iterable[Any]], settings: Mapping[str, Any])
 
 
 def _listed(values: Any) -> list[Any]:
-    """Values, an array of them, or one alone, as a list of Python's own numbers."""
+    """Convert one value, several values or an array to a list of Python numbers."""
     if hasattr(values, "ndim"):
         return np.atleast_1d(np.asarray(values)).tolist()
     several = isinstance(values, Iterable) and not isinstance(values, str)
@@ -111,7 +111,7 @@ def _listed(values: Any) -> list[Any]:
 
 
 def product(grid_: Grid) -> list[dict[str, Any]]:
-    """All combinations of a grid, the last name's values in turn first."""
+    """Return all combinations of a grid; the last name varies fastest."""
     return [dict(zip(grid_, values, strict=True)) for values in itertools.product(*grid_.values())]
 
 
@@ -122,16 +122,17 @@ def grid(
     *,
     t_end: float | None = None,
 ) -> dict[str, RunConfig]:
-    """Configurations of a named scene for every combination of some of its numbers, by name, for `campaign`.
+    """Configure a named scene for every combination of option values; return configurations for `campaign`.
 
-    **Arguments:** `over`: values by name, of any option of scene, material or solver, `frames`, `nodes` and
-    `seed`; `settings`: what all have in common; `t_end` in s, by default the scene's own.
+    **Arguments:** `over`: lists of values by name, of any option of scene, material or solver, of `frames`,
+    `nodes` and `seed`; `settings`: common values of all runs; `t_end`: end time in s, by default that of the
+    scene.
 
     **Raises:** ValueError for an unknown name or an impossible value.
     """
     if not isinstance(scene, str):
         raise ValueError(
-            f"scene must be the name of one, not {type(scene).__name__}; `sweep` takes functions."
+            f"scene must be the name of a scene, not {type(scene).__name__}; `sweep` accepts functions."
         )
     settings = {} if settings is None else settings
     combinations = product(checked_grid(over, settings))
@@ -142,9 +143,9 @@ def grid(
 def _configurations(
     scene: str, combinations: list[dict[str, Any]], settings: Mapping[str, Any], t_end: float | None
 ) -> list[RunConfig]:
-    """Configurations of a named scene.
+    """Configure all combinations of a named scene.
 
-    **Raises:** ConfigError, which names the case unless what all have in common is to blame.
+    **Raises:** ConfigError, which names the case unless the common settings cause the error.
     """
     try:
         _configured(scene, settings, t_end)
@@ -174,10 +175,9 @@ def cases_of(
     solver: Integrator | None,
     linear: str,
 ) -> list[Case]:
-    """The cases of a sweep; `linear`: the linear solver of those that do not say which.
+    """Build the cases of a sweep; `linear`: linear solver of cases that do not specify one.
 
-    **Raises:** ValueError for an impossible value, what is no scene, or a solver that is given beside a
-    scene's name.
+    **Raises:** ValueError for an impossible value, an invalid scene, or a solver given with a named scene.
     """
     combinations = product(grid)
     if not isinstance(scene, str):
@@ -186,9 +186,9 @@ def cases_of(
         _check_callable(scene, cases[0].arguments)
         return cases
     if solver is not None:
-        raise ValueError("a named scene has rtol, scheme and linear among its settings; leave solver out.")
+        raise ValueError("a named scene takes rtol, scheme and linear from settings; leave solver out.")
     if "frames" in grid or "frames" in settings:
-        raise ConfigError("frames are saved by campaigns; a sweep measures at its times.")
+        raise ConfigError("only campaigns save frames; a sweep measures at its times, so leave frames out.")
     configs = _configurations(scene, combinations, {"linear": linear, **settings}, t_end)
     return [
         Case(values, config, {}, config.solver.build())
@@ -197,7 +197,7 @@ def cases_of(
 
 
 def _check_callable(scene: Any, arguments: Mapping[str, Any]) -> None:
-    """Refuse what cannot be called with a case's arguments."""
+    """Refuse an object that cannot be called with the arguments of a case."""
     if not callable(scene):
         raise ValueError(
             f"scene must be a scene's name or a function that returns a Setup, not {type(scene).__name__}."

@@ -1,4 +1,4 @@
-"""Worker processes: Dask's, one to a core of this machine, or of any cluster that Dask knows."""
+"""Run jobs in Dask worker processes: one per core of this machine, or on any Dask cluster."""
 
 import logging
 import os
@@ -13,36 +13,36 @@ import jax
 from distributed import Client, Future, Scheduler, SpecCluster, WorkerPlugin, wait
 from distributed.deploy.subprocess import SubprocessWorker
 
-# A cluster of Dask, a client of one, its scheduler's address, or None for workers on this machine.
+# A Dask cluster, a Dask client, the address of a scheduler, or None for workers on this machine.
 Cluster = Any
-# What a job raises comes back with it, and needs no line in a worker's log.
+# The future returns the exception of a job, so the worker need not log it.
 _QUIET = logging.CRITICAL
-# Workers of this machine listen to it alone, in clusters of this name.
+# Workers on this machine listen only on its loopback address; LOCAL names their clusters.
 HOST, LOCAL = "127.0.0.1", "jaxcrumple"
-# How long a worker of this machine may say nothing, as where there is too much to do: one that ended is known
-# by its closed connection.
+# Longest silence of a worker on this machine. It may be long, because an overloaded worker is silent too, and
+# a closed connection reveals a worker that ended.
 SILENCE = "365 days"
-# Seconds between looks at whether workers of this machine are still there, and how many in a row that find
-# none tell that they are gone for good: one that ended is started again, which takes a while.
+# Seconds between checks for workers on this machine, and number of consecutive checks without any worker
+# after which they count as lost: Dask restarts a worker that ended, which takes a while.
 LOOK, LOOKS = 10.0, 18
-# Seconds to wait for a scheduler that is given by its address.
+# Seconds to wait for the scheduler of a given cluster.
 ANSWER = 20
 
 
-# What Dask says of a scheduler that lacks a package.
+# Part of the message of Dask if the scheduler lacks a package.
 UNPACKED = "deserialization of the task graph"
 SCHEDULER_LOST = (
-    "the scheduler of the worker processes is gone: something ended it, or cut the connection. Start again; "
+    "the scheduler of the worker processes is gone: it was ended, or the connection was lost. Start again; "
     "what campaigns saved is kept."
 )
 
 
 class WorkersLostError(RuntimeError):
-    """Worker processes, or their scheduler, that are gone for good, or cannot run this program."""
+    """Worker processes or their scheduler are lost for good, or cannot run this program."""
 
 
 class OneCore(WorkerPlugin):
-    """Holds each worker to a core of its own: XLA starts a thread for every core that it may use."""
+    """Pin each worker to its own core, because XLA starts a thread for every core that it may use."""
 
     name = "one-core"
 
@@ -50,18 +50,18 @@ class OneCore(WorkerPlugin):
         self.cores = list(cores)
 
     def setup(self, worker) -> None:
-        """Called by a worker that starts, before it has threads."""
+        """Pin the worker. Dask calls this at its start, before it creates threads."""
         os.sched_setaffinity(0, {self.cores[int(worker.name) % len(self.cores)]})
 
 
 @contextmanager
 def connected(cluster: Cluster, most: int) -> Iterator[Client]:
-    """A client of the cluster; of workers on this machine, one to a core and `most` of them, for None.
+    """Yield a client of the cluster; for None, of at most `most` workers on this machine, one per core.
 
-    These start as programs of their own, so that a script needs no guard around its main part.
+    Workers on this machine start as separate programs, so a script needs no `if __name__ == "__main__"`.
 
-    **Raises:** ValueError for what is no cluster, or does not answer; `WorkersLostError` for a scheduler that
-    is lost inside, or workers that cannot load this program.
+    **Raises:** ValueError if `cluster` is no cluster or does not answer; `WorkersLostError` if the scheduler
+    is lost inside, or if workers cannot load this program.
     """
     if isinstance(cluster, Client):
         with _lost_workers_named():
@@ -78,14 +78,14 @@ def connected(cluster: Cluster, most: int) -> Iterator[Client]:
 
 
 def local_workers(cluster: Cluster, most: int) -> int:
-    """How many workers share this machine's memory, as `connected` starts them: one where a cluster is given,
-    whose machines are not known."""
+    """Return the number of workers that `connected` starts on this machine and that share its memory. For a
+    given cluster return one, because its machines are unknown."""
     return 1 if cluster is not None else min(len(_cores()), most)
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence Dask's loggers inside: a scheduler that is lost is raised, and needs no traceback beside."""
+    """Silence the loggers of Dask inside: a lost scheduler raises an error and needs no logged traceback."""
     names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] == "distributed"]
     levels = {name: logging.getLogger(name).level for name in names}
     for name in names:
@@ -99,7 +99,7 @@ def _quiet() -> Iterator[None]:
 
 @contextmanager
 def _lost_workers_named() -> Iterator[None]:
-    """Say in words what Dask raises inside where its scheduler is gone, or workers lack a package."""
+    """Explain the errors that Dask raises inside if its scheduler is lost or workers lack a package."""
     try:
         yield
     except CancelledError as error:
@@ -114,28 +114,28 @@ def _lost_workers_named() -> Iterator[None]:
 
 
 def _client(cluster: Cluster) -> Client:
-    """A client of a cluster that is not ours.
+    """Return a client of a given cluster.
 
-    **Raises:** ValueError where none answers.
+    **Raises:** ValueError if no cluster answers.
     """
     try:
         return Client(cluster, timeout=ANSWER)
     except (OSError, TypeError, ValueError) as error:
         raise ValueError(
             f"cluster = {cluster!r} cannot be reached: {error}. Give a cluster or a client of Dask, or "
-            "the address of a scheduler that runs, such as tcp://host:8786."
+            "the address of a running scheduler, such as tcp://host:8786."
         ) from error
 
 
 def _cores() -> list[int]:
-    """Cores that this process may use."""
+    """Return the cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return sorted(os.sched_getaffinity(0))
     return list(range(os.cpu_count() or 1))
 
 
 def _local(workers: int) -> SpecCluster:
-    # Workers share no cache of programs: two that write the same entry at once would damage it.
+    # Each worker has its own program cache: two workers that write one entry at once would damage it.
     cache = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
 
     def worker(index: int) -> dict[str, Any]:
@@ -159,15 +159,14 @@ def _local(workers: int) -> SpecCluster:
 def run_all(
     client: Client, function: Callable[..., Any], jobs: Sequence[tuple]
 ) -> Iterator[tuple[int, Future]]:
-    """Futures of `function(*job)` that have ended, with the jobs' indices, as they end.
+    """Yield the index of each job and the future of `function(*job)`, as they end.
 
-    What a lost worker was at is done again by another one. All that is unfinished is cancelled when the
-    caller stops.
+    If a worker is lost, another one repeats its job. If the caller stops, this cancels all unfinished jobs.
 
-    **Raises:** `WorkersLostError` where workers of this machine are lost for good, or the scheduler is.
+    **Raises:** `WorkersLostError` if all workers of this machine, or the scheduler, are lost for good.
     """
     x64 = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]
-    # Packed here, so that what a worker cannot unpack is the job's error and not the worker's end.
+    # Serialise here: data that a worker cannot load then fails the job instead of ending the worker.
     packed = (cloudpickle.dumps((function, job)) for job in jobs)
     tasks = [client.submit(_task, data, sys.path, x64, pure=False) for data in packed]
     waiting = {task: index for index, task in enumerate(tasks)}
@@ -183,17 +182,17 @@ def run_all(
                 )
             for future in ended:
                 yield waiting.pop(future), future
-                # A result that is known must not be made again when its worker is lost.
+                # Release a known result, so that Dask does not compute it again if its worker is lost.
                 future.release()
     except CancelledError as error:
         raise WorkersLostError(SCHEDULER_LOST) from error
     finally:
-        with suppress(Exception):  # A scheduler that is gone has nothing to cancel.
+        with suppress(Exception):  # A lost scheduler has nothing to cancel.
             client.cancel(list(waiting))
 
 
 def _ended(client: Client, futures: list[Future]) -> list[Future]:
-    """Futures that have ended; waits for one, or for some time."""
+    """Return the futures that have ended; wait for at least one, or until LOOK seconds have passed."""
     try:
         return list(wait(futures, timeout=LOOK, return_when="FIRST_COMPLETED").done)
     except TimeoutError:
@@ -201,13 +200,13 @@ def _ended(client: Client, futures: list[Future]) -> list[Future]:
 
 
 def _has_workers(client: Client) -> bool:
-    """Whether there are workers; those of other machines may come at any time."""
+    """Return whether workers exist; always True for a given cluster, which may add workers at any time."""
     here = client.cluster is not None and client.cluster.name.startswith(LOCAL)
     return not here or bool(client.scheduler_info(n_workers=-1)["workers"])
 
 
 def _task(data: bytes, path: Sequence[str], x64: bool) -> Any:
-    """One job, with the modules and in the precision of the caller."""
+    """Run one job with the module path and the precision of the caller."""
     sys.path.extend(folder for folder in path if folder not in sys.path)
     jax.config.update("jax_enable_x64", x64)
     function, job = cloudpickle.loads(data)

@@ -1,4 +1,4 @@
-"""Sweeps and campaigns as files in TOML."""
+"""Read sweeps and campaigns from TOML files."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,11 +12,12 @@ from jaxcrumple.scenes import SCENES
 
 
 class SweepFile(Options):
-    """A grid of a named scene: what is varied is `over`, what all have in common `settings`.
+    """A grid of a named scene: `over` holds the varied options, `settings` the common ones.
 
-    `t_end` in s, by default the scene's own; `frames`: how many moments are measured, evenly spaced, by
-    default the end alone; a campaign saves as many and the start, by default as many as a run;
-    `max_seconds`: wall time of each case in s, after which it ends with the result "budget", by default none.
+    `t_end`: end time in s, by default that of the scene. `frames`: number of evenly spaced times at which a
+    sweep measures, by default only the end; a campaign saves this number of frames and the start, by default
+    as many as a run. `max_seconds`: wall time of each case in s, after which it ends with the result
+    "budget"; by default unlimited.
     """
 
     scene: str
@@ -35,9 +36,9 @@ class SweepFile(Options):
 def read_sweep(path: str | Path) -> SweepFile:
     """Read a file of `scene`, `t_end`, `frames`, `max_seconds`, and tables `settings` and `over`.
 
-    The word none stands for an option's None. Numbers are in SI units, strings may carry a unit.
+    The word none means None. Numbers are in SI units; strings may carry a unit.
 
-    **Raises:** `ConfigError` for a file that cannot be read, or with unknown or impossible entries.
+    **Raises:** `ConfigError` if the file cannot be read or has unknown or impossible entries.
     """
     values, _ = read_toml(path)
     try:
@@ -54,7 +55,7 @@ def read_sweep(path: str | Path) -> SweepFile:
 
 
 def _in_si(scene: str, name: str, values: list[Any]) -> list[Any]:
-    """Values of an option, strings with a unit as numbers, which tables and names of runs show."""
+    """Convert the values of an option to SI numbers, which the tables and the names of runs show."""
     unit = unit_named(scene, name)
     if unit is None:
         return values

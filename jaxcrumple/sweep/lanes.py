@@ -1,4 +1,4 @@
-"""Lanes of a batch: trees of the same structure as one, and the one program that advances them all."""
+"""Stack the lanes of a batch: trees of equal structure as one tree, advanced by a single program."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -17,12 +17,12 @@ from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import State
 
 AXIS = "lanes"
-# A scene and its solver: what lanes may differ by.
+# A scene and its solver, in which lanes may differ.
 Inputs = tuple[Scene, Integrator]
 
 
 class Lanes(NamedTuple):
-    """Scenes and solvers of all lanes: `own` numbers, by which lanes differ, have a leading axis (lanes,);
+    """Scenes and solvers of all lanes: arrays in which lanes differ are `own`, with a leading axis (lanes,);
     the others are `shared`."""
 
     own: Any
@@ -30,19 +30,19 @@ class Lanes(NamedTuple):
 
 
 def stacked(trees: Sequence[Any]) -> Any:
-    """Trees of arrays as one with a leading axis."""
+    """Stack trees of arrays along a new leading axis."""
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
 
 
 def lane(tree: Any, index: int) -> Any:
-    """One lane of stacked arrays."""
+    """Return one lane of stacked arrays."""
     return jax.tree.map(lambda leaf: leaf[index], tree)
 
 
 def differing(inputs: Sequence[Inputs]) -> Inputs:
-    """Which numbers lanes differ by, or will once they move: a tree of booleans.
+    """Return a tree of booleans: whether lanes differ in an array, now or once they move.
 
-    **Raises:** ValueError for lanes that have not the same structure and sizes.
+    **Raises:** ValueError if lanes differ in structure or array sizes.
     """
     arrays, static = zip(*(eqx.partition(pair, eqx.is_array) for pair in inputs), strict=True)
     for other, rest in zip(arrays, static, strict=True):
@@ -50,7 +50,7 @@ def differing(inputs: Sequence[Inputs]) -> Inputs:
         if difference or not eqx.tree_equal(rest, static[0]):
             raise ValueError(
                 "the members of a batch must be of one mesh and one kind, with the same nodes, seed, scheme "
-                f"and contact_level{difference}; give what differs a sweep of its own, or take "
+                f"and contact_level{difference}; split the sweep, or choose "
                 "backend='processes'."
             )
     mask = jax.tree.map(lambda first, *rest: any(not _same(first, one) for one in rest), *arrays)
@@ -64,7 +64,7 @@ def differing(inputs: Sequence[Inputs]) -> Inputs:
 
 
 def _difference(one: Inputs, other: Inputs) -> str:
-    """The first array of another size, in words."""
+    """Describe the first array whose size differs."""
     sizes = [
         {jax.tree_util.keystr(path): leaf.shape for path, leaf in jax.tree_util.tree_leaves_with_path(tree)}
         for tree in (one, other)
@@ -81,7 +81,7 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def lanes_of(inputs: Sequence[Inputs], mask: Inputs, devices: DeviceMesh) -> Lanes:
-    """Scenes and solvers as lanes on devices; `mask`: which of their numbers are each lane's own."""
+    """Distribute scenes and solvers as lanes on devices; `mask` marks the arrays that differ by lane."""
     own = [eqx.filter(eqx.filter(pair, eqx.is_array), mask) for pair in inputs]
     arrays, static = eqx.partition(inputs[0], eqx.is_array)
     everywhere = NamedSharding(devices, PartitionSpec())
@@ -90,12 +90,12 @@ def lanes_of(inputs: Sequence[Inputs], mask: Inputs, devices: DeviceMesh) -> Lan
 
 
 def spread(tree: Any, devices: DeviceMesh) -> Any:
-    """Stacked arrays with a part of the lanes on each device."""
+    """Distribute stacked arrays, with a part of the lanes on each device."""
     return jax.device_put(tree, NamedSharding(devices, PartitionSpec(AXIS)))
 
 
 def best_side_by_side(device: jax.Device) -> bool:
-    """Whether lanes go faster side by side than in turn: a core has nothing to share out."""
+    """Return whether vectorised lanes are faster than sequential ones; on a CPU core they are not."""
     return device.platform != "cpu"
 
 
@@ -103,9 +103,12 @@ def best_side_by_side(device: jax.Device) -> bool:
 def advance(
     lanes: Lanes, moving: tuple[State, Array, Array], devices: DeviceMesh, side_by_side: bool
 ) -> State:
-    """One call of `integrate` for each lane: `moving` are states, times to stop at (lanes,) in s, and
-    attempts (lanes,) that are left. Each of the `devices` has a part of the lanes, and waits for no other; it
-    advances them `side_by_side`, or in turn."""
+    """Call `integrate` once for each lane.
+
+    **Arguments:** `moving`: states, stop times (lanes,) in s, and remaining attempts (lanes,); `devices`:
+    each advances its part of the lanes independently of the others; `side_by_side`: whether a device
+    vectorises its lanes or advances them one after another.
+    """
     shared, static = eqx.partition(lanes.shared, eqx.is_array)
 
     def part(own: Any, moving: tuple[State, Array, Array], shared: Any) -> State:

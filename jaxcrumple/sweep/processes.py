@@ -1,4 +1,4 @@
-"""Each case of a sweep as a run of its own, in worker processes."""
+"""Run each case of a sweep as a separate run in a worker process."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -16,7 +16,7 @@ from jaxcrumple.sweep.table import Frames, Measure, Outcome, Tell, broken
 
 
 class _Observer:
-    """Measures every frame of a run, and breaks it off where that goes wrong."""
+    """Measure every frame of a run; stop the run if the measurement fails."""
 
     def __init__(self, frames: Frames):
         self.frames = frames
@@ -31,7 +31,7 @@ class _Observer:
 
 
 def run_case(case: Case, times: np.ndarray, measure: Measure, limits: Limits) -> Outcome:
-    """One case, alone. One that breaks, as by an exception of `measure`, keeps the frames it had."""
+    """Run one case. If it raises, e.g. in `measure`, the outcome keeps the earlier frames."""
     setup = case.build()
     frames = Frames(measure, setup)
     state = initial_state(setup.scene, setup.x)
@@ -58,12 +58,12 @@ def run_processes(
     cluster: Cluster,
     tell: Tell,
 ) -> list[Outcome]:
-    """Outcomes of the cases, each a run in a worker of the cluster.
+    """Run each case in a worker of the cluster and return the outcomes.
 
-    Where workers or their scheduler are lost for good, the cases that had not ended are broken.
+    If workers or their scheduler are lost for good, unfinished cases have the result "error".
 
-    **Raises:** ValueError for a case that cannot be built or start, before any of them runs;
-    `WorkersLostError` where there are no workers that could run one.
+    **Raises:** ValueError, before any case runs, for a case that cannot be built or cannot start;
+    `WorkersLostError` if the workers are lost before that, or cannot run any case.
     """
     outcomes: dict[int, Outcome] = {}
     with connected(cluster, len(cases)) as client:
@@ -83,7 +83,7 @@ def run_processes(
 
 
 def _check(case: Case) -> None:
-    """Build a case and drop it."""
+    """Build a case to check it, and check its start."""
     setup = case.build()
     with blamed(case.name):
         check_start(setup.scene, initial_state(setup.scene, setup.x))

@@ -1,4 +1,4 @@
-"""`sweep`: a scene over a grid of its numbers."""
+"""`sweep`: run a scene over a grid of option values."""
 
 import inspect
 import time
@@ -42,34 +42,35 @@ def sweep(
     max_seconds: float | None = None,
     tell: Tell = lambda name, result: None,
 ) -> xr.Dataset:
-    """Run a scene for every combination of some of its numbers.
+    """Run a scene for every combination of option values.
 
     **Arguments:**
 
     - `scene`: name of a scene, or a function of the names in `over` and `settings` that returns a `Setup`.
-    - `over`: values by name, numbers or words. Of a named scene: any option of scene, material or solver,
-      `nodes` and `seed`.
-    - `times`: moments in s at which to measure, increasing, or the end alone.
-    - `settings`: what all cases have in common, by name as in `over`.
-    - `solver`: for a scene that is a function, by default `integrator()`.
-    - `measure`: function of the case's `Setup` and a `State` that returns by name numbers, pairs of
-      dimensions and array, or DataArrays; by default energies, crease length, strains and contacts. It is
-      tried on the start of the first case before any case runs.
-    - `backend`: "batch", all cases as lanes of one program on the `devices` (by default all of the default
-      kind), which needs a linear solver that batches; "processes", each case a run in a worker process; or
-      "auto": the former where JAX has an accelerator or `devices` are given, the latter on a CPU.
-    - `cluster`: of the workers: a cluster or a client of Dask, or the address of a scheduler; by default
-      workers on this machine, one to a core.
-    - `max_attempts`, `max_seconds`: step attempts, and wall time in s with compiling left out, after which a
-      case ends with the result "budget". The lanes of a batch share their time.
-    - `tell`: called with the name and the result of each case as it ends.
+    - `over`: lists of values by name, numbers or words. For a named scene: any option of scene, material or
+      solver, `nodes` and `seed`.
+    - `times`: increasing times in s at which to measure, or only the end time.
+    - `settings`: common values of all cases, by name as in `over`.
+    - `solver`: integrator for a scene that is a function, by default `integrator()`.
+    - `measure`: function of the case's `Setup` and a `State`; it returns by name numbers, pairs of dimensions
+      and array, or DataArrays. By default: energies, crease length, strains and contacts. `sweep` tests it on
+      the start of the first case before any case runs.
+    - `backend`: "batch": all cases are lanes of one program on the `devices` (by default all of the default
+      kind); this requires a linear solver that supports batches. "processes": each case is a run in a worker
+      process. "auto": "batch" if `devices` are given, or if JAX has an accelerator and no `cluster` is given;
+      else "processes".
+    - `cluster`: for the workers: a Dask cluster, a Dask client or the address of a scheduler; by default
+      workers on this machine, one per core.
+    - `max_attempts`, `max_seconds`: step attempts, and wall time in s without compile time, after which a
+      case ends with the result "budget". The lanes of a batch share the wall time.
+    - `tell`: callback, called with name and result of each case as it ends.
 
     **Returns:** an xarray Dataset over the names in `over`, with `result`, `t_reached`, `steps` and counters
-    of each case, and over `time` what was measured, NaN where a case ended before. A case that fails stops
-    alone; one that breaks, as by an exception of `measure` on its way, has the result "error" and a
+    of each case, and with the measured values over `time`, NaN after the end of a case. A failed case does
+    not stop the others. A case that raises an exception, e.g. in `measure`, has the result "error" and a
     `message`.
 
-    **Raises:** ValueError for impossible values and cases, before any of them runs.
+    **Raises:** ValueError for impossible values and cases, before any case runs.
     """
     backend = _chosen(backend, cluster, devices)
     if max_attempts is not None and max_attempts < 1:
@@ -98,9 +99,10 @@ def sweep(
 
 
 def _chosen(backend: Backend, cluster: Cluster, devices: Sequence[jax.Device] | None) -> Backend:
-    """The backend that is meant.
+    """Choose the backend.
 
-    **Raises:** ValueError for an unknown one, no device, or what the backend has no use for.
+    **Raises:** ValueError for an unknown backend, an empty list of devices, or an argument that the backend
+    does not use.
     """
     if backend not in ("auto", "batch", "processes"):
         raise ValueError(f"backend = {backend!r} is unknown; choose auto, batch or processes.")
@@ -110,17 +112,17 @@ def _chosen(backend: Backend, cluster: Cluster, devices: Sequence[jax.Device] | 
     if backend == "batch" and cluster is not None:
         raise ValueError("a cluster is for backend='processes'; a batch runs on the devices of this process.")
     if backend == "processes" and devices is not None:
-        raise ValueError("devices are for backend='batch'; leave them out, or take that.")
+        raise ValueError("devices are for backend='batch'; leave them out, or choose that backend.")
     if devices is not None and not len(devices):
-        raise ValueError("devices = [] leaves no device to run on.")
+        raise ValueError("devices = [] leaves no device to run on; give at least one, or leave devices out.")
     return backend
 
 
 def _try(case: Case, grid: Grid, measure: Measure) -> Setup:
-    """Measure the start of a case, before any of them runs; returns its set-up.
+    """Measure the start of a case before any case runs, and return its setup.
 
-    **Raises:** ValueError for what cannot be built, what is no measure, names that are taken, or whatever
-    `measure` raises.
+    **Raises:** ValueError for a case that cannot be built, an invalid measure, or a reserved name; and any
+    error that `measure` raises.
     """
     try:
         inspect.signature(measure).bind(None, None)

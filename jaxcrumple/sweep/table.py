@@ -1,4 +1,4 @@
-"""Outcomes of a sweep as one labelled table."""
+"""Collect the outcomes of a sweep in one labelled table."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -15,12 +15,12 @@ from jaxcrumple.sweep.cases import Grid
 Measure = Callable[[Setup, State], Mapping[str, Any]]
 Tell = Callable[[str, str], None]
 
-# Frames and cases may have other values on other places; what one lacks is NaN.
+# Frames and cases may have different coordinates; missing values are NaN.
 _JOINED: Any = {"data_vars": "all", "coords": "minimal", "join": "outer", "compat": "equals"}
 
 _LENGTHS = ("crease_length", "max_wall_penetration", "min_gap")
 
-# What every table has.
+# Names that every table contains.
 RESERVED = (
     "case",
     "cause",
@@ -38,8 +38,8 @@ RESERVED = (
 
 
 class Outcome(NamedTuple):
-    """What became of a case: `result` in a word, what was measured at its `frames`, and its last `state`,
-    None if that is lost; a `message` where it broke."""
+    """Outcome of a case: name of the `result`, measured values of its `frames`, last `state` (None if lost),
+    and a `message` if it raised an exception."""
 
     result: str
     frames: list[xr.Dataset]
@@ -48,12 +48,12 @@ class Outcome(NamedTuple):
 
 
 def broken(error: BaseException, frames: Sequence[xr.Dataset] = (), state: State | None = None) -> Outcome:
-    """The outcome of a case that an exception ended."""
+    """Return the outcome of a case that raised an exception."""
     return Outcome("error", list(frames), state, f"{type(error).__name__}: {error}")
 
 
 class Frames:
-    """Measures the frames of a case as it goes; `found`: those so far."""
+    """Measure the frames of a running case; `found` holds the values so far."""
 
     def __init__(self, measure: Measure, setup: Setup):
         self.measure, self.setup = measure, setup
@@ -61,7 +61,7 @@ class Frames:
         self.error: Exception | None = None
 
     def take(self, state: State) -> bool:
-        """Measure a state; whether that went well."""
+        """Measure a state; return whether the measurement succeeded."""
         try:
             self.found.append(measured(self.measure, self.setup, state))
         except Exception as error:
@@ -69,14 +69,14 @@ class Frames:
         return self.error is None
 
     def outcome(self, result: str, state: State | None = None) -> Outcome:
-        """What became of the case, whose run ended with this result."""
+        """Return the outcome of the case, whose run ended with this result."""
         if self.error is None:
             return Outcome(result, self.found, state)
         return broken(self.error, self.found, state)
 
 
 def standard_measure(setup: Setup, state: State) -> dict[str, Any]:
-    """Energies by term in J, crease length in m, edge strains, and contacts, as in a run's summary."""
+    """Measure energies by term in J, crease length in m, edge strains and contacts, as in a run's summary."""
     found = figures(setup, state)
     energy = found.pop("energy")
     found["min_gap"] = np.nan if found["min_gap"] is None else found["min_gap"]
@@ -86,9 +86,9 @@ def standard_measure(setup: Setup, state: State) -> dict[str, Any]:
 
 
 def measured(measure: Measure, setup: Setup, state: State) -> xr.Dataset:
-    """What is measured of one state.
+    """Measure one state.
 
-    **Raises:** ValueError for a measure that returns something else than values by name.
+    **Raises:** ValueError for a measure that does not return values by name.
     """
     found = measure(setup, state)
     if not isinstance(found, Mapping):
@@ -97,11 +97,11 @@ def measured(measure: Measure, setup: Setup, state: State) -> xr.Dataset:
     try:
         return xr.Dataset(known)
     except ValueError as error:
-        raise ValueError(f"what measure returned makes no table: {error}.") from error
+        raise ValueError(f"the values that measure returned do not form a table: {error}.") from error
 
 
 def _known(name: str, value: Any) -> Any:
-    """A value with its numbers on the host."""
+    """Return a value with its numbers on the host."""
     if isinstance(value, xr.DataArray):
         return value
     names, array = value if isinstance(value, tuple) and len(value) == 2 else ((), value)
@@ -117,29 +117,29 @@ def _known(name: str, value: Any) -> Any:
 def table(
     grid: Grid, times: np.ndarray, outcomes: Sequence[Outcome], attributes: Mapping[str, Any]
 ) -> xr.Dataset:
-    """The outcomes over the grid's names, and over time where they were measured; NaN where a case did not
-    get there."""
+    """Arrange the outcomes over the names of the grid; measured values also over time, NaN after the end of a
+    case."""
     rows = [_row(times, outcome) for outcome in outcomes]
     lanes = xr.concat(rows, "case", **_JOINED)
     words = [pd.Index(_alike(values)) for values in grid.values()]
     index = pd.MultiIndex.from_product(words, names=list(grid))
     lanes = lanes.assign_coords(xr.Coordinates.from_pandas_multiindex(index, "case")).unstack("case")
-    # Unstacking sorts; the grid keeps the order it was given in.
+    # Unstacking sorts; restore the order of the grid.
     lanes = lanes.reindex(dict(zip(grid, words, strict=True)))
     return lanes.transpose(*grid, "time", ...).assign_attrs(attributes)
 
 
 def _alike(values: Sequence[Any]) -> list[Any]:
-    """Values of one kind, as a file wants them: all words where one is a word or None."""
+    """Convert values to one type, as a file requires: all to words if one is a word or None."""
     if all(isinstance(value, int | float | np.number) for value in values):
         return list(values)
     return ["none" if value is None else str(value) for value in values]
 
 
 def check_names(grid: Grid, measured: xr.Dataset) -> None:
-    """Refuse what would stand in the table twice.
+    """Refuse a name that would occur twice in the table.
 
-    **Raises:** ValueError that says which name.
+    **Raises:** ValueError that gives the name.
     """
     found = {*measured.variables, *measured.dims}
     for name in (*grid, *found):
@@ -160,7 +160,7 @@ def _row(times: np.ndarray, outcome: Outcome) -> xr.Dataset:
 
 
 def _spent(state: State) -> dict[str, Any]:
-    """How far a case came, and by which steps."""
+    """Return the reached time in s and the step counters of a case."""
     counters = state.counters
     return {
         "t_reached": ((), float(state.t), {"units": "s"}),

@@ -1,7 +1,7 @@
 """Triangulated surfaces from the files that other programs write.
 
-trimesh reads STL and meshio most other formats. OBJ, OFF, PLY and legacy VTK POLYDATA have readers of our
-own: trimesh splits nodes along the seams of textures and cuts every polygon into a fan, convex or not, and
+trimesh reads STL, and meshio most other formats. This package reads OBJ, OFF, PLY and legacy VTK POLYDATA
+itself, because trimesh splits nodes along texture seams and cuts every polygon into a fan, convex or not, and
 meshio refuses texture coordinates, further elements and POLYDATA.
 """
 

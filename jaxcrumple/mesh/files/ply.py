@@ -1,4 +1,4 @@
-"""PLY: elements whose rows have numbers and lists, as text or in binary."""
+"""Read PLY files: elements whose rows hold numbers and lists, as text or binary."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _CORNERS = ("vertex_indices", "vertex_index")
 
 
 class _Unique(dict[str, Any]):
-    """Names and what they stand for; a name that comes twice is an error."""
+    """A dictionary that refuses a repeated name."""
 
     def __setitem__(self, name: str, value: Any) -> None:
         if name in self:
@@ -49,20 +49,20 @@ class _Unique(dict[str, Any]):
 
 @dataclass
 class _Element:
-    """Rows of one kind: of each property the struct code of its values, and of its length if it is a list."""
+    """Rows of one kind: struct codes of each property's values and, for a list, of its length (else None)."""
 
     rows: int
     properties: dict[str, tuple[str, str | None]]
 
 
 def read_ply(content: bytes) -> Surface:
-    """Vertices, faces and triangle strips of a PLY file; other elements and lists are skipped.
+    """Read vertices, faces and triangle strips of a PLY file; skip other elements and lists.
 
     **Raises:** `ValueError` for a file that is damaged or has no vertices.
     """
     kind, elements, body = _header(content)
     if kind == "ascii":
-        # Text becomes what a binary file of doubles would hold: one way to read both.
+        # Convert text to a binary table of doubles, so that one parser reads both.
         body = np.array([float(word) for word in body.split()]).tobytes()
         for element in elements.values():
             element.properties = {
@@ -112,8 +112,8 @@ def _code(name: str) -> str:
 
 
 def _table(name: str, element: _Element, body: bytes, start: int, order: str) -> tuple[dict[str, Any], int]:
-    """Values by property, arrays of numbers and sequences of lists, and where the next element begins."""
-    # A row takes a byte or more, so no count can ask for more memory than the file has bytes.
+    """Return values by property (arrays, or sequences for lists), and the start of the next element."""
+    # A row takes at least one byte, so this check bounds the memory by the size of the file.
     if not 0 <= element.rows <= len(body) - start:
         raise ValueError(f"it ends before its {element.rows} rows of {name!r}")
     lengths = _first_lengths(element, body, start, order) if element.rows else {}
@@ -134,7 +134,7 @@ def _fields(key: str, element: _Element, lengths: dict[str, int], order: str) ->
 
 
 def _first_lengths(element: _Element, body: bytes, start: int, order: str) -> dict[str, int]:
-    """Lengths of the lists of the first row; none where the file ends before."""
+    """Return the lengths of the lists in the first row."""
     lengths = {}
     for key, (code, count) in element.properties.items():
         if count:
@@ -146,7 +146,7 @@ def _first_lengths(element: _Element, body: bytes, start: int, order: str) -> di
 
 
 def _length(body: bytes, start: int, order: str, count: str, code: str) -> tuple[int, int]:
-    """The length of a list, which must fit into the file, and where its values begin."""
+    """Return the length of a list, which must fit into the file, and the start of its values."""
     size = struct.calcsize(order + count)
     if start + size > len(body):
         raise ValueError("it ends within a list")
@@ -158,7 +158,7 @@ def _length(body: bytes, start: int, order: str, count: str, code: str) -> tuple
 
 
 def _uneven(name: str, element: _Element, body: bytes, start: int, order: str) -> tuple[dict[str, Any], int]:
-    """The same row by row, for lists of different lengths."""
+    """Read an element row by row, for lists of different lengths; otherwise as `_table`."""
     table: dict[str, list[Any]] = {key: [] for key in element.properties}
     for _ in range(element.rows):
         for key, (code, count) in element.properties.items():
@@ -174,7 +174,7 @@ def _uneven(name: str, element: _Element, body: bytes, start: int, order: str) -
 
 
 def _polygons(tables: dict[str, dict[str, Any]]) -> Iterator[Sequence[int]]:
-    """Faces, and triangles of strips, which -1 separates."""
+    """Yield the faces, then the triangles of strips; -1 separates strips."""
     yield from next((tables["face"][key] for key in _CORNERS if key in tables.get("face", {})), [])
     strips = tables.get("tristrips", {})
     for row in next((strips[key] for key in _CORNERS if key in strips), []):

@@ -1,4 +1,4 @@
-"""POLYDATA of VTK's legacy format, as text or in binary, versions 1 to 5.1."""
+"""Read POLYDATA in VTK's legacy format, as text or binary, versions 1 to 5.1."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def is_polydata(content: bytes) -> bool:
 
 
 def read_polydata(content: bytes) -> Surface:
-    """Points, polygons and triangle strips, and the scalars and fields of the points.
+    """Read points, polygons and triangle strips, and the scalars and fields of the points.
 
     **Raises:** `ValueError` for a file that is damaged.
     """
@@ -43,7 +43,7 @@ def read_polydata(content: bytes) -> Surface:
 
 
 class _Reader:
-    """Sections of a file one after the other."""
+    """Reads the sections of a file one after another."""
 
     def __init__(self, content: bytes):
         self.content, self.at = content, 0
@@ -59,7 +59,7 @@ class _Reader:
         self.rows, self.of_points = 0, False
 
     def surface(self) -> Surface:
-        """All that is read."""
+        """Read all sections."""
         while self.at < len(self.content):
             words = self.line().split()
             if words:
@@ -70,14 +70,14 @@ class _Reader:
         return surface_of(self.points, self.polygons, self.data)
 
     def line(self) -> str:
-        """The next line."""
+        """Read the next line."""
         end = self.content.find(b"\n", self.at)
         end = len(self.content) if end < 0 else end
         line, self.at = self.content[self.at : end], end + 1
         return line.decode("utf-8", errors="replace").strip()
 
     def array(self, count: int, type_name: str) -> NDArray[Any]:
-        """The next numbers, in binary of a type."""
+        """Read the next `count` numbers; `type_name` is their type in binary files."""
         code = _TYPES.get(type_name.lower())
         if code is None:
             raise ValueError(f"it has numbers of the unknown type {type_name[:40]!r}")
@@ -96,7 +96,7 @@ class _Reader:
                 raise ValueError(f"it ends after {len(words)} of {count} numbers")
             words += self.line().encode().split()
         if len(words) > count:
-            raise ValueError(f"it has {len(words)} numbers where it says {count}")
+            raise ValueError(f"it has {len(words)} numbers instead of {count}")
         return np.array([float(word) for word in words])
 
     def _points(self, words: list[str]) -> None:
@@ -112,12 +112,12 @@ class _Reader:
             starts = [0]
             for _ in range(rows):
                 if starts[-1] >= len(values) or values[starts[-1]] < 0:
-                    raise ValueError(f"it has less than {rows} cells")
+                    raise ValueError(f"it has fewer than {rows} cells")
                 starts.append(starts[-1] + 1 + int(values[starts[-1]]))
             bounds = np.array(starts) - np.arange(rows + 1)
             corners = np.delete(values, starts[:-1])
         if len(bounds) and (np.any(np.diff(bounds) < 0) or bounds[0] != 0 or bounds[-1] > len(corners)):
-            raise ValueError("its cells end beyond their corners")
+            raise ValueError("the offsets of its cells do not fit their corners")
         return np.split(corners, bounds[1:-1].astype(np.int64)) if len(bounds) > 1 else []
 
     def _polygons(self, words: list[str]) -> None:

@@ -1,4 +1,4 @@
-"""Polygons cut into triangles over their own corners."""
+"""Triangulate polygons over their own corners."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from numpy.typing import NDArray
 
 from jaxcrumple.mesh.files.surface import MeshError, Surface
 
-_EQUAL = 1e-6  # diagonals whose lengths differ by less, relative to them, count as equal
+_EQUAL = 1e-6  # relative difference below which two diagonals count as equal
 _FLAT = 1e-9  # smallest area of an ear, relative to its longest side squared
 _CROSSED = "face {} with {} corners crosses itself or has no area; remove or redraw it"
-_MOST_CORNERS = 1000  # ear clipping looks at every corner for every ear
+_MOST_CORNERS = 1000  # limit, because ear clipping tests every corner for every ear
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 
 
 def triangulated(surface: Surface) -> IntArray:
-    """Triangles (f, 3) in the order of the polygons.
+    """Cut the polygons of a surface into triangles (f, 3), in the order of the polygons.
 
-    A quadrilateral is cut along its shorter diagonal, for better-shaped triangles, unless only the
-    other one lies inside it; of two equal ones along that from its first corner. A polygon with more corners
-    loses its best-shaped ear until a triangle is left.
+    A quadrilateral is cut along its shorter diagonal, which gives better-shaped triangles, unless only the
+    other one lies inside it. Of two equal diagonals, the one from the first corner is cut. A polygon with
+    more corners loses its best-shaped ear until a triangle is left.
 
     **Raises:** `MeshError` naming a polygon that crosses itself or has too many corners.
     """
@@ -51,7 +51,7 @@ def triangulated(surface: Surface) -> IntArray:
 
 
 def _without_repeats(surface: Surface) -> Surface:
-    """The surface without corners of polygons that repeat the one before: a triangle may come as a b c c."""
+    """Remove polygon corners that repeat the previous corner: some files write a triangle as a b c c."""
     owner = np.repeat(np.arange(len(surface.sizes)), surface.sizes)
     before = np.arange(len(owner)) - 1
     before[np.cumsum(surface.sizes) - surface.sizes] = np.cumsum(surface.sizes) - 1
@@ -64,11 +64,11 @@ def _without_repeats(surface: Surface) -> Surface:
 
 
 def _cut(points: FloatArray, quads: IntArray, rows: IntArray) -> IntArray:
-    """Two triangles (q, 2, 3) of each quadrilateral, which are the polygons `rows`."""
+    """Cut each quadrilateral into two triangles (q, 2, 3); `rows` are its polygon numbers for messages."""
     a, b, c, d = np.moveaxis(points[quads], 1, 0)
 
     def inside(p: FloatArray, q: FloatArray, r: FloatArray, s: FloatArray) -> NDArray[np.bool_]:
-        """Whether the triangles p q r and p r s, on either side of p r, do not lie on one another."""
+        """Whether the triangles p q r and p r s, on either side of p r, do not overlap."""
         return (np.cross(q - p, r - p) * np.cross(r - p, s - p)).sum(axis=1) > 0
 
     one, two = np.linalg.norm(c - a, axis=1), np.linalg.norm(d - b, axis=1)
@@ -83,7 +83,7 @@ def _cut(points: FloatArray, quads: IntArray, rows: IntArray) -> IntArray:
 
 
 def _ears(x: FloatArray) -> IntArray | None:
-    """Triangles (k - 2, 3) of a polygon with corners at `x` (k, 3); None where it crosses itself."""
+    """Return triangles (k - 2, 3) of a polygon with corners `x` (k, 3), or None if it crosses itself."""
     following = np.roll(x, -1, axis=0)
     normal = np.cross(x - x[0], following - x[0]).sum(axis=0)  # Newell's normal: twice the area
     size = np.linalg.norm(normal)
@@ -102,7 +102,7 @@ def _ears(x: FloatArray) -> IntArray | None:
 
 
 def _best_ear(p: FloatArray) -> int | None:
-    """The corner of a polygon (k, 2), counterclockwise, whose triangle is inside and is the best-shaped."""
+    """Return the corner with the best-shaped triangle inside a counterclockwise polygon (k, 2), or None."""
     before, after = np.roll(p, 1, axis=0), np.roll(p, -1, axis=0)
     doubled = _area(before, p, after)
     longest = np.max(
@@ -113,7 +113,7 @@ def _best_ear(p: FloatArray) -> int | None:
         if quality[corner] <= _FLAT:
             return None
         a, b, c = before[corner], p[corner], after[corner]
-        # A corner on the cut itself would leave a polygon that touches itself, unless it is one of its ends.
+        # A corner on the cut would leave a polygon that touches itself, unless it is an end of the cut.
         others = (p != a).any(axis=1) & (p != b).any(axis=1) & (p != c).any(axis=1)
         q = p[others]
         within = (_area(a, b, q) >= 0) & (_area(b, c, q) >= 0) & (_area(c, a, q) >= 0)

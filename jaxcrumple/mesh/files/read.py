@@ -1,4 +1,4 @@
-"""Which reader reads which file, and what becomes of one that cannot be read."""
+"""Choose the reader of a mesh file, and report a file that cannot be read."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from jaxcrumple.mesh.files.surface import MeshError, Surface, spatial
 from jaxcrumple.mesh.files.text import read_obj, read_off
 
 _SKIPPED = {"vertex", "line", "line3"}
-_REASON = 200  # characters of a reader's own words that a message passes on
+_REASON = 200  # most characters of a reader's own message that an error quotes
 
 
 def read_surface(path: str | Path) -> Surface:
-    """The points and polygons of a file; lengths as in the file. Points and line segments are skipped.
+    """Read points and polygons of a file, with lengths as in the file; skip vertex and line cells.
 
-    **Raises:** `FileNotFoundError`; `MeshError` that passes the reader's reason on, or names cells that are
+    **Raises:** `FileNotFoundError`; `MeshError` that quotes the reader's reason, or names cells that are
     neither points, lines nor flat polygons.
     """
     path = Path(path)
@@ -32,7 +32,7 @@ def read_surface(path: str | Path) -> Surface:
         raise FileNotFoundError(f"mesh file {str(path)!r} does not exist; check the path")
     said = io.StringIO()
     try:
-        # NumPy only warns where text ends at a word that is no number, or a number does not fit.
+        # NumPy only warns of text that is not a number and of numbers that overflow; make these errors.
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             warnings.simplefilter("error", RuntimeWarning)
@@ -40,7 +40,7 @@ def read_surface(path: str | Path) -> Surface:
             surface = _reader(path)(path)
     except MeshError:
         raise
-    except (Exception, SystemExit) as error:  # meshio leaves by sys.exit when its last reader gives up
+    except (Exception, SystemExit) as error:  # meshio calls sys.exit when its last reader fails
         raise MeshError(
             f"cannot read {str(path)!r} as a mesh ({_reason(error, said.getvalue())}); re-export it, for "
             "example as .vtu"
@@ -73,7 +73,7 @@ def _reader(path: Path) -> Callable[[Path], Surface]:
 
 
 def _reason(error: BaseException, said: str) -> str:
-    """Why a reader gave up, on one line: its exception, or the first words it printed."""
+    """Return the reason of a reader's failure on one line: its exception, or the text it printed."""
     text = str(error) if isinstance(error, Exception) else said
     text = " ".join(text.split())
     if not text:
@@ -82,16 +82,16 @@ def _reason(error: BaseException, said: str) -> str:
 
 
 def _read_stl(path: Path) -> Surface:
-    # Imported here: it takes a second that other files need not wait.
+    # Imported here because the import takes a second and only STL needs it.
     import trimesh
 
     content = path.read_bytes()
     if len(content) < 84 or len(content) != 84 + 50 * int.from_bytes(content[80:84], "little"):
-        # Text: letters of a name in another encoding would make trimesh ask for a further package.
+        # Text: a name in another encoding would make trimesh require a further package.
         content = content.decode("utf-8", errors="replace").encode()
     mesh: Any = trimesh.load(io.BytesIO(content), file_type="stl", force="mesh", process=False)
     if len(mesh.faces) == 0:
-        raise ValueError("it has no facets, or not as many bytes as it says")
+        raise ValueError("it has no facets, or its size does not match its header")
     faces = np.asarray(mesh.faces, np.int64)
     return Surface(spatial(mesh.vertices), faces.ravel(), np.full(len(faces), 3))
 
@@ -112,7 +112,7 @@ def _read_with_meshio(path: Path) -> Surface:
         table.shape[1] != widths.get(b.type, max(table.shape[1], 3))
         for b, table in zip(kept, tables, strict=True)
     ):
-        raise ValueError("its cells have other numbers of corners than they should")
+        raise ValueError("the number of corners of its cells does not match their type")
     sizes = np.concatenate([np.full(len(table), table.shape[1]) for table in tables] or [np.zeros(0, int)])
     corners = np.concatenate([table.ravel() for table in tables] or [np.zeros(0, int)])
     return Surface(spatial(data.points), corners.astype(np.int64), sizes, data.point_data)

@@ -1,4 +1,4 @@
-"""From what a file holds to the nodes and triangles of a sheet in metres: unit, polygons, merging."""
+"""Convert the surface in a file to nodes and triangles in metres: unit, polygons, merging."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from jaxcrumple.mesh.files.surface import MeshError, MeshWarning
 from jaxcrumple.options.suggest import nearest
 from jaxcrumple.options.units import LENGTH
 
-#: Points of an STL file, which lists three for each triangle, become one if they are closer than this,
-#: relative to the size of the surface: ten times the rounding of single precision.
+#: Merging distance for STL files, which list three points for each triangle, relative to the size of the
+#: surface: ten times the rounding error of single precision.
 STL_MERGE = 1e-6
 
-_LARGEST, _SMALLEST = 5.0, 1e-3  # sizes of a sheet [m] beyond which its unit is doubtful
-_MOST_NEIGHBOURS = 64  # within the merging distance of a point, on average
+_LARGEST, _SMALLEST = 5.0, 1e-3  # sizes of a sheet [m] outside which its unit is doubtful
+_MOST_NEIGHBOURS = 64  # most neighbours of a point within the merging distance, on average
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
 def read_sheet(path: str | Path, merge: float | str | None, unit: str | None) -> tuple[FloatArray, IntArray]:
-    """Points (m, 3) of a file in metres, and its triangles (f, 3).
+    """Read the points (m, 3) of a file in metres, and its triangles (f, 3).
 
     **Raises:** as `Mesh.from_file`.
     """
@@ -52,7 +52,7 @@ def read_sheet(path: str | Path, merge: float | str | None, unit: str | None) ->
 
 
 def unit_length(unit: str | None) -> float:
-    """A unit of length in metres.
+    """Return a unit of length in metres.
 
     **Raises:** `MeshError` for one that is unknown or of another dimension.
     """
@@ -63,30 +63,30 @@ def unit_length(unit: str | None) -> float:
     except ValueError:
         factor = None
     if not isinstance(factor, float):
-        raise MeshError(f"unit = {unit!r} is no unit of length{nearest(str(unit), LENGTH.usual)}")
+        raise MeshError(f"unit = {unit!r} is not a unit of length{nearest(str(unit), LENGTH.usual)}")
     return factor
 
 
 def merge_distance(merge: float | str) -> float:
-    """A merging distance in metres, of a number or a string with a unit.
+    """Convert a merging distance, a number or a string with a unit, to metres.
 
-    **Raises:** `MeshError` for one that is no length or negative.
+    **Raises:** `MeshError` if it is not a length or is negative.
     """
     try:
         distance = float(LENGTH.si(merge))
     except (TypeError, ValueError) as error:
-        raise MeshError(f"merge = {merge!r} is no length; give metres, or a string such as '1 um'") from error
+        raise MeshError(f"merge = {merge!r} is not a length; give metres or a string like '1 um'") from error
     if not 0 <= distance < np.inf:
-        raise MeshError(f"merge = {merge!r} is no distance; give a length of 0 m or more")
+        raise MeshError(f"merge = {merge!r} is not a distance; give a length >= 0 m")
     return distance
 
 
 def merged(points: FloatArray, faces: IntArray, distance: float) -> IntArray:
-    """Faces over the first of the points that are connected by steps of up to `distance`.
+    """Merge points that steps of up to `distance` in m connect, and return the faces over these points.
 
-    Triangles of which that leaves an edge or a point are dropped.
+    The first point of each group represents it. Triangles that collapse to an edge or a point are dropped.
 
-    **Raises:** `MeshError` where so many points are so close that the sheet itself would vanish.
+    **Raises:** `MeshError` if merging would remove most of the sheet.
     """
     used = np.unique(faces)
     where, first, inverse = np.unique(points[used], axis=0, return_index=True, return_inverse=True)
@@ -112,7 +112,7 @@ def merged(points: FloatArray, faces: IntArray, distance: float) -> IntArray:
 
 
 def _warn_of_size(path: str | Path, raw: float, size: float, unit: str | None) -> None:
-    """Warn of a sheet whose unit is doubtful."""
+    """Warn if the unit of a sheet is doubtful."""
     if unit is None and size > _LARGEST:
         said = f"is {size:.4g} m across, if its lengths are metres; give unit = 'mm' for millimetres, or 'm'"
     elif unit is None and size < _SMALLEST:

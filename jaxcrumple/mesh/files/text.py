@@ -1,4 +1,4 @@
-"""OBJ and OFF: points and polygons of a line each."""
+"""Read OBJ and OFF files: one point or polygon per line."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ _OFF_HEADER = re.compile(r"(ST)?C?N?(4?)(n?)OFF\s*(BINARY)?", re.IGNORECASE)
 
 
 def read_obj(content: bytes) -> Surface:
-    """Positions (`v`) and polygons (`f`) of a Wavefront OBJ file.
+    """Read positions (`v`) and polygons (`f`) of a Wavefront OBJ file.
 
-    Colours or a weight after a position, texture coordinates, normals, groups and materials are skipped.
+    It skips colours or a weight after a position, texture coordinates, normals, groups and materials.
 
     **Raises:** `ValueError` naming the line that cannot be read.
     """
@@ -32,7 +32,7 @@ def read_obj(content: bytes) -> Surface:
 
 
 def read_off(content: bytes) -> Surface:
-    """Positions and polygons of an ASCII OFF file with or without colours, normals or texture coordinates.
+    """Read positions and polygons of an ASCII OFF file; skip colours, normals and texture coordinates.
 
     **Raises:** `ValueError` naming the line that cannot be read.
     """
@@ -65,7 +65,7 @@ def read_off(content: bytes) -> Surface:
 
 
 def _lines(content: bytes) -> Iterator[tuple[int, str]]:
-    """Number and text of each line, without comments, those that end in a backslash joined to the next."""
+    """Yield number and text of each line without comments; a final backslash joins the next line."""
     begun = ""
     for number, line in enumerate(content.decode("utf-8-sig", errors="replace").splitlines(), 1):
         text = line.partition("#")[0].rstrip()
@@ -76,7 +76,7 @@ def _lines(content: bytes) -> Iterator[tuple[int, str]]:
         if text:
             yield number, text
     if begun.strip():
-        raise ValueError("it ends in a line that goes on")
+        raise ValueError("it ends with a backslash, which continues a line")
 
 
 def _position(words: list[str]) -> list[float]:
@@ -86,7 +86,7 @@ def _position(words: list[str]) -> list[float]:
 
 
 def _row(word: str, count: int) -> int:
-    """The point of a corner such as 3, 3/1, 3//2 or -1, of `count` so far, counted from 0."""
+    """Return the point, from 0, of a corner such as 3, 3/1, 3//2 or -1 after `count` points."""
     number = int(word.partition("/")[0])
     if number == 0 or number < -count:
         raise ValueError("points are counted from 1, or backwards from -1")

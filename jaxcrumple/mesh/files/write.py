@@ -1,4 +1,4 @@
-"""Triangles written to a file."""
+"""Write triangles to a file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FILE_FORMATS = (".vtu", ".vtk", ".ply", ".obj", ".off", ".msh")
 
 
 def write_triangles(path: str | Path, points: NDArray[Any], faces: NDArray[Any]) -> None:
-    """Write points (n, 3) and triangles (f, 3) in the format that the ending of `path` names.
+    """Write points (n, 3) and triangles (f, 3); the ending of `path` selects the format.
 
     **Raises:** `MeshError` for an unknown ending, `OSError` if the file cannot be written.
     """

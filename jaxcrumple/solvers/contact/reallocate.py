@@ -1,5 +1,4 @@
-"""Renewing the lists of contact on the host: the search for candidates, and room for more where lists are
-full."""
+"""Rebuild and enlarge the contact lists on the host: broad phase, and more capacity after an overflow."""
 
 from collections.abc import Sequence
 
@@ -30,17 +29,17 @@ from jaxcrumple.scene import Scene, require_scene, with_near
 from jaxcrumple.state import Listing, State, check_positions, first_listing
 
 _find_near = eqx.filter_jit(find_near)
-# First room for candidates by node, and at least: in a fine mesh the next neighbours of all triangles are
-# among them.
+# First capacity for candidates per node, and its lower limit. In a fine mesh the candidates include the next
+# neighbours of all triangles.
 CANDIDATES_PER_NODE, LEAST_CANDIDATES = 16, 32_000
-# Pairs of triangles with places in the matrix, for each one that there is room for in the lists.
+# Capacity of the merged matrix in pairs of triangles, relative to that of the lists.
 PLACES = 2
 
 
 class Renewal:
-    """The lists of contact of one run.
+    """Rebuild the contact lists of one run, and hold their capacities.
 
-    **Arguments:** `scene` with contact; `merged`: whether a direct solver needs the tangent in one matrix.
+    **Arguments:** `scene`: with contact; `merged`: whether a direct solver needs the tangent in one matrix.
     """
 
     def __init__(self, scene: Scene, merged: bool):
@@ -51,17 +50,18 @@ class Renewal:
         least = max(CANDIDATES_PER_NODE * scene.n_nodes, LEAST_CANDIDATES)
         self.candidates = max(least, contact.candidates.triangles.shape[0])
         first = first_room(scene.n_nodes)
-        # What all dense crumples soon need: without it they compile once more, and others gain nothing.
+        # All dense crumples soon need this capacity. A smaller one costs them one more compilation, and does
+        # not speed up other runs.
         first = first._replace(triangles=2 * first.triangles)
         sizes = zip(first, contact.near.room, strict=True)
         self.room = Room(*(max(own, before) for own, before in sizes))
         self.places = PLACES * self.room.triangles
 
     def __call__(self, scene: Scene, state: State) -> Scene:
-        """The scene for the next call of `integrate`, where the last one stopped for a list.
+        """Return the scene for the next call of `integrate`, after one that stopped for a list.
 
-        What is longer takes another program. So lists and places grow together, for where one is full the
-        others soon are.
+        Every new capacity needs a compilation. Lists and merged matrix therefore grow together: when one
+        overflows, the others soon would.
         """
         listing = state.listing
         assert listing is not None
@@ -74,7 +74,7 @@ class Renewal:
         return scene if scene.contact.near.room == self.room else _with_room(scene, self.room)
 
     def first(self, scene: Scene, state: State) -> Scene:
-        """The scene for the first call of `integrate`: a saved state finds the lists it had."""
+        """Return the scene for the first call of `integrate`; for a saved state, rebuild the lists it had."""
         listing = state.listing
         assert listing is not None
         scene = self.placed(scene, listing.matrix, SOON)
@@ -83,11 +83,13 @@ class Renewal:
         return self(self.filled(scene, first_listing(scene.contact, state.x).near), state)
 
     def filled(self, scene: Scene, around: Around) -> Scene:
-        """The scene with lists for motions, grown until they fit: an own program that compiles faster than a
-        run does."""
+        """Return the scene with site pairs for the motions `around`; increase capacities until they fit.
+
+        The narrow phase is a separate program here, because it compiles faster than a run.
+        """
         assert scene.contact is not None
         if int(scene.contact.candidates.count) == 0:
-            # Nobody to look for.
+            # Without candidates there are no site pairs.
             return with_near(scene, eqx.tree_at(lambda near: near.around, scene.contact.near, around))
         while True:
             assert scene.contact is not None
@@ -97,8 +99,11 @@ class Renewal:
             scene = self.grown(scene, np.append(near.needed, 0))
 
     def grown(self, scene: Scene, needed: np.ndarray) -> Scene:
-        """The scene with room for `needed` (4,), doubled until that fits, or would soon be too small."""
-        make_room("lists", self.room)  # for the program that takes the longer lists
+        """Return the scene with capacities doubled until they hold `SOON` times `needed` (4,).
+
+        The candidates grow only after an overflow.
+        """
+        make_room("lists", self.room)  # for the program with the new capacities
         sizes = zip(self.room, needed[:3], strict=True)
         self._enlarge(max(doubled(room, int(SOON * much)) // room for room, much in sizes))
         self.places = max(self.places, PLACES * self.room.triangles)
@@ -108,7 +113,7 @@ class Renewal:
         return _with_room(scene, self.room)
 
     def searched(self, scene: Scene, around: Around) -> Scene:
-        """The scene with candidates for motions."""
+        """Return the scene with the candidates for the motions `around`, from the broad phase on the host."""
         pairs, folded = self.search.find(np.asarray(around.x), np.asarray(around.reach))
         self.candidates = doubled(self.candidates, len(pairs))
         triangles = np.zeros((self.candidates, 2), np.int32)
@@ -119,8 +124,11 @@ class Renewal:
         return eqx.tree_at(lambda s: s.contact.candidates, scene, found)
 
     def placed(self, scene: Scene, around: Around, spare: float = 1.0) -> Scene:
-        """The scene with places in the matrix for all pairs that may meet by motions, if it needs them, and
-        for `spare` times as many."""
+        """Return the scene with a merged matrix that has entries for all candidates for the motions `around`.
+
+        Its capacity suffices for `spare` times as many pairs. Without a merged matrix, the scene is returned
+        as it is.
+        """
         if self.merger is None:
             return scene
         pairs, _ = self.search.find(np.asarray(around.x), np.asarray(around.reach), PLACED_TURN)
@@ -135,7 +143,7 @@ class Renewal:
         self.room = Room(*(factor * size for size in self.room))
 
     def _places_of(self, scene: Scene) -> float:
-        """Pairs of triangles that have room in the scene's matrix, if it needs any."""
+        """Return the capacity of the merged matrix in pairs of triangles; infinity if there is none."""
         assert scene.pattern.contact is not None
         merged = scene.pattern.contact.merged
         return np.inf if merged is None else merged.keys.shape[0]
@@ -143,20 +151,21 @@ class Renewal:
 
 @eqx.filter_jit
 def _turned(scene: Scene, x: Array, folded: Array) -> tuple[Array, Array]:
-    """Angles (h,) of the hinges at positions `x` (n, 3), and the largest turn of those not `folded` (w,)."""
+    """Return the hinge angles (h,) in rad at positions `x` (n, 3), and the largest turn in rad of the ways
+    that are not `folded` (w,)."""
     assert scene.contact is not None
     theta = scene.bending.hinges(x).theta
     return theta, largest_turn(scene.contact.fans.turning(theta), folded)
 
 
 def _with_room(scene: Scene, room: Room) -> Scene:
-    """The scene with empty lists of other sizes."""
+    """Return the scene with empty lists of site pairs of capacities `room`."""
     assert scene.contact is not None
     return with_near(scene, no_neighbors(scene.n_nodes, len(scene.contact.share), room))
 
 
 def _with_candidates(scene: Scene, size: int) -> Scene:
-    """The scene with an empty list of candidates of another size."""
+    """Return the scene with an empty list of candidates of capacity `size`."""
     assert scene.contact is not None
     old = scene.contact.candidates
     none = no_candidates(scene.n_nodes, len(old.theta), len(old.folded), size)
@@ -165,20 +174,22 @@ def _with_candidates(scene: Scene, size: int) -> Scene:
 
 @door
 def with_contacts(scene: Scene, x: ArrayLike | State, needed: ArrayLike | None = None) -> Scene:
-    """The scene with its lists of contact made for positions `x` (n, 3) in m, on the host.
+    """Build the contact lists of a scene for positions `x` (n, 3) in m, on the host.
 
-    Energies, forces and tangents of a self-avoiding scene hold near the positions that its lists were made
-    for, and are NaN elsewhere; `simulate` makes its own. `integrate`, also under `vmap`, makes new ones on
-    its way, and stops, with the result "success" before its end time, where they grow longer than these
-    (`state.listing.needed`) or where a direct solver's matrix lacks a place (`state.listing.stale`). Both are
-    mended by `with_contacts(scene, state)`. A scene without contact is returned as it is.
+    Call it before `energies`, `force` or `tangent` of a scene with contact: away from `x` they return NaN
+    rather than a wrong value. `simulate` builds its own lists.
+
+    `integrate`, also under `vmap`, rebuilds the lists as needed. It stops before its end time, with the
+    result "success", if a list overflows (`state.listing.needed`) or if the matrix of a direct solver lacks
+    entries for a pair (`state.listing.stale`). Continue in both cases with `with_contacts(scene, state)`.
 
     **Arguments:**
 
-    - `x`: positions, or a `State`, whose lists are then made.
-    - `needed` (4,): pairs of triangles, sites and pairs of sites that are near, and pairs of triangles that
-      may meet, for which there must be room; by default what the state needs. A batch needs the largest
-      numbers of its states.
+    - `x`: positions, or a `State`, whose lists are then rebuilt.
+    - `needed` (4,): required capacities: pairs of triangles, sites near triangles, site pairs, and candidate
+      pairs of triangles; by default those of the state. For a batch, pass the maximum over its states.
+
+    **Returns:** the scene with the lists; a scene without contact unchanged.
 
     **Raises:** ValueError for positions of another shape or not finite, or inside a function that JAX traces.
     """
@@ -188,7 +199,7 @@ def with_contacts(scene: Scene, x: ArrayLike | State, needed: ArrayLike | None =
         return scene
     listing, positions = (x.listing, x.x) if isinstance(x, State) else (None, x)
     if not is_known(positions, scene.mass):
-        raise ValueError("with_contacts looks at positions on the host: call it outside jit, grad and vmap.")
+        raise ValueError("with_contacts needs positions on the host: call it outside jit, grad and vmap.")
     check_positions("x", positions, scene.n_nodes)
     if listing is None:
         listing = first_listing(contact, jnp.asarray(positions, float))
@@ -196,9 +207,9 @@ def with_contacts(scene: Scene, x: ArrayLike | State, needed: ArrayLike | None =
 
 
 def batch_with_contacts(scenes: Sequence[Scene], states: Sequence[State]) -> list[Scene]:
-    """The scenes of a batch with lists of contact made for their states, all of one size.
+    """Build the contact lists of a batch of scenes for their states, all with the same capacities.
 
-    Scenes without contact are returned as they are. Tangents for a direct solver get no places.
+    Scenes without contact are returned unchanged. No merged matrix for a direct solver is built.
     """
     if scenes[0].contact is None:
         return list(scenes)
@@ -223,13 +234,13 @@ def _listing(state: State) -> Listing:
 
 
 def _sizes(scene: Scene) -> tuple[int, ...]:
-    """Sizes of the lists: those of `Room`, and candidates."""
+    """Return the capacities of the lists: those of `Room`, and that of the candidates."""
     assert scene.contact is not None
     return (*scene.contact.near.room, scene.contact.candidates.triangles.shape[0])
 
 
 def _listed(scene: Scene, listing: Listing, needed: np.ndarray, merged: bool) -> Scene:
-    """The scene with lists for a state's `listing` and room for `needed` (4,)."""
+    """Return the scene with the lists of a state's `listing` and capacities for `needed` (4,)."""
     renewal = Renewal(scene, merged)
     scene = renewal.grown(scene, needed)
     scene = renewal.searched(scene, listing.candidates)

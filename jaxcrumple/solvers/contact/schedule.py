@@ -1,5 +1,5 @@
-"""Keeping the lists of contact valid while a run goes on, and refusing steps that would pass through
-something."""
+"""Rebuild the contact lists during a run, limit the steps to them, and reject steps that would pass through
+the sheet or a wall."""
 
 from typing import NamedTuple
 
@@ -20,33 +20,39 @@ from jaxcrumple.model.walls import Wall
 from jaxcrumple.scene import Scene, with_near
 from jaxcrumple.state import NEVER, Listing, State
 
-# How far, in ranges, a node may move in a step, less the mean motion; and in a step without any before
-# it. Where nothing is near it may be as far as a flat sheet's neighbours do not appear, if that is more.
+# Largest move of a node in one step in ranges, without the mean motion: STRIDE, or UNKNOWN if there are no
+# earlier steps to predict it from. If no triangles are near, a known move may go as far as `Contact.calm`.
 STRIDE, UNKNOWN = 1.0, 0.25
-# A list of sites is made for SEVERAL steps as long as they go no further than WAY ranges, with some ROOM; one
-# that reaches LOOSE times further than steps now need is made anew. All lists have to spare what a step may
-# differ from its prediction, between SLACK and MOST_SLACK ranges: more would hold many flat neighbours.
+# A list of site pairs covers up to SEVERAL steps that move nodes by no more than WAY ranges together, times
+# the margin ROOM. It is rebuilt if its skin is LOOSE times the one needed now. All lists add the error of the
+# predicted step, between SLACK and MOST_SLACK ranges: more would list many neighbours in a flat sheet.
 SEVERAL, WAY, ROOM, SLACK, MOST_SLACK, LOOSE = 4.0, 0.25, 1.2, 0.05, 0.25, 2.0
-# Ranges that a new list of sites has to spare beyond that, so that it holds for the steps after the next one.
+# Further skin of a new list of site pairs in ranges, so that it stays valid after the next step.
 HELD = 0.05
-# Ranges that a list of sites reaches for the longest step where something is near.
+# Largest skin of a list of site pairs in ranges if triangles are near; the factor absorbs rounding.
 LONGEST = 1.01 * (MOST_SLACK + HELD + 0.5 * ROOM * STRIDE)
-# Ranges that an explicit step may differ from its prediction.
+# Allowed error of a predicted explicit step in ranges.
 NEXT_SLACK = 0.01
-# What is active is told for this many explicit steps, and so many ranges to spare.
+# The active set covers this many explicit steps, plus this many ranges.
 ACTIVE_STEPS, ACTIVE_SLACK = 16.0, 0.02
-# Reach of a list of candidates: ranges, and steps like the next one; of the latter FEWEST at least, and more
-# only up to FURTHEST ranges, or as far as a flat sheet's neighbours do not appear.
+# Skin of the candidates: REACH ranges plus STEPS steps like the next one. The steps contribute at most
+# FURTHEST ranges, or the skin is at most `Contact.calm` if that is more. FEWEST steps are always covered.
 REACH, STEPS, FEWEST, FURTHEST = 0.35, 16.0, 3.0, 2.0
-# The same of pairs that have a place in the matrix; more only while a flat sheet has none.
+# The same for pairs with entries in the merged matrix, without a limit like FURTHEST: the skin is at most
+# `Contact.calm`, with which a flat sheet has no pairs, but covers PLACED_FEWEST steps.
 PLACED_REACH, PLACED_FEWEST, PLACED_STEPS = 0.75, 2.0, 32.0
 
 
 class Lists(NamedTuple):
-    """What the loop holds: pairs of triangles that are `candidates`, and pairs of sites `near`; for which
-    motions the next ones must be made (`wide`, `close`), and whether that is due, before the next step; and
-    whether something was near a longer way, so that the next step must be a short one. `turn`: `sharpest` at
-    the positions of an explicit stage, and `active` what interacts in its next steps."""
+    """Hold the contact lists in the loop of `integrate`.
+
+    - `candidates`, `near`: the current lists of triangle pairs and of site pairs.
+    - `wide`, `close`: the motions that these two must cover after the next rebuild.
+    - `due`: whether that rebuild must precede the next step.
+    - `short`: whether triangles were near within a longer step, so that the next step must be short.
+    - `turn`: `sharpest` in rad at the start of the current round of steps.
+    - `active`: active set for the next explicit steps, or None without an explicit stage.
+    """
 
     candidates: Candidates
     near: Near
@@ -59,18 +65,22 @@ class Lists(NamedTuple):
 
 
 def without_places(scene: Scene) -> Scene:
-    """The scene for a solver that does without one matrix, and so without places in it to wait for."""
+    """Return the scene without its merged matrix, for a solver that does not use one and must not wait for
+    the host to build it."""
     if scene.pattern.contact is None or scene.pattern.contact.merged is None:
         return scene
     return eqx.tree_at(lambda s: s.pattern.contact.merged, scene, None)
 
 
 def start_lists(scene: Scene, state: State, explicit: bool) -> tuple[State, Lists | None]:
-    """Lists that are due, and the state, which needs no others yet; for `explicit` steps as well, or not."""
+    """Return the state without requests to the host, and lists that must be rebuilt before the first step.
+
+    `explicit`: whether the scheme has an explicit stage, which needs an active set.
+    """
     contact, listing = scene.contact, state.listing
     if contact is None or listing is None:
         return state, None
-    # What a call stopped for is the caller's to mend; where it is not, this call stops for it again.
+    # The caller must have met the requests of the last call. If not, this call stops for them again.
     served = (jnp.zeros_like(listing.stale), jnp.zeros_like(listing.needed))
     state = eqx.tree_at(lambda s: (s.listing.stale, s.listing.needed), state, served)
     due, short = jnp.asarray(True), jnp.asarray(False)
@@ -83,28 +93,28 @@ def start_lists(scene: Scene, state: State, explicit: bool) -> tuple[State, List
 
 
 def state_lists(state: State, lists: Lists | None) -> Lists | None:
-    """The lists, which must be those of the state."""
+    """Return the lists, marked for a rebuild with the motions of the state's listing."""
     if state.listing is None or lists is None:
         return None
     return lists._replace(wide=state.listing.candidates, close=state.listing.near, due=jnp.asarray(True))
 
 
 def waits(state: State) -> Array:
-    """Whether the state waits for the host: for places in the matrix, or for longer lists."""
+    """Return whether the state waits for the host: for entries in the merged matrix, or for more capacity."""
     if state.listing is None:
         return jnp.asarray(False)
     return state.listing.stale | jnp.any(state.listing.needed > 0)
 
 
 def listed(scene: Scene, lists: Lists | None) -> Scene:
-    """The scene with what is in the lists."""
+    """Return the scene with the current `lists`."""
     if lists is None:
         return scene
     return with_near(eqx.tree_at(lambda s: s.contact.candidates, scene, lists.candidates), lists.near)
 
 
 def listed_active(scene: Scene, lists: Lists | None) -> Scene:
-    """The same for an explicit step, with what is `active` in it."""
+    """Return the scene with the current `lists` and the active set, for an explicit step."""
     scene = listed(scene, lists)
     if lists is None or scene.contact is None:
         return scene
@@ -112,7 +122,7 @@ def listed_active(scene: Scene, lists: Lists | None) -> Scene:
 
 
 def renewed(scene: Scene, state: State, lists: Lists | None) -> tuple[State, Lists | None]:
-    """The lists made anew where that is due; the state says whether they fitted."""
+    """Rebuild the lists if they are due; after an overflow, record the required capacities in the state."""
     if state.listing is None or lists is None:
         return state, None
     wide, old = lists.wide, lists.candidates
@@ -127,13 +137,13 @@ def renewed(scene: Scene, state: State, lists: Lists | None) -> tuple[State, Lis
     assert contact is not None and lists is not None
     near = where_needed(lists.due, find_near, lists.near, contact, lists.close)
     needed = jnp.append(near.needed, lists.candidates.count)
-    # A list that is too long for a far step is not worth room: it tells that steps must be shorter.
+    # An overflow for a far step does not ask for capacity: `ready_for` then asks for a short step.
     full = jnp.any(near.overflow) & ~_far(contact, lists)
     full = full | (lists.candidates.count > lists.candidates.triangles.shape[0])
     state = eqx.tree_at(lambda s: s.listing.needed, state, jnp.where(full, needed, 0))
     turn = sharpest(listed(scene, lists), state.x)
     if lists.active is not None:
-        # What is active is a part of the list that was.
+        # The active set refers to places in the old list.
         count = jnp.where(lists.due, -1, lists.active.count)
         lists = lists._replace(active=eqx.tree_at(lambda a: a.count, lists.active, count))
     return state, lists._replace(near=near, due=jnp.asarray(False), turn=turn)
@@ -142,10 +152,12 @@ def renewed(scene: Scene, state: State, lists: Lists | None) -> tuple[State, Lis
 def with_active(
     scene: Scene, state: State, lists: Lists, ahead: Array, differs: Array, wanted: Array
 ) -> tuple[State, Lists]:
-    """The lists with what is active on the way to `ahead` (n, 3), or to what `differs` (n,) from that by so
-    many m, and for some more explicit steps like that; nothing is looked for where none is `wanted`.
+    """Rebuild the active set if the next explicit step may leave it; return the state and the lists.
 
-    When it is looked for follows from the state alone.
+    The new set covers `ACTIVE_STEPS` such steps. The decision depends on the state alone.
+
+    **Arguments:** `ahead` (n, 3): predicted positions in m after the step; `differs` (n,): bound on their
+    error in m; `wanted`: whether the step is taken; without it, no set is built.
     """
     contact, listing = listed(scene, lists).contact, state.listing
     assert contact is not None and listing is not None and lists.active is not None
@@ -159,8 +171,10 @@ def with_active(
 
 
 def sharpest(scene: Scene, x: Array) -> Array:
-    """Largest turn in rad of a fold that the lists leave out at positions `x` (n, 3), or a bound of it below
-    `DUE_TURN`; 0 where no sheet avoids itself."""
+    """Return the largest turn in rad of the ways at nodes that the lists leave out, at positions `x` (n, 3).
+
+    If an upper bound is below `DUE_TURN`, the result is that bound; without contact it is 0.
+    """
     if scene.contact is None:
         return jnp.zeros(())
     return scene.contact.sharpest(scene.bending.hinges(x).theta)
@@ -169,8 +183,10 @@ def sharpest(scene: Scene, x: Array) -> Array:
 def largest_move(
     scene: Scene, lists: Lists | None, x: Array, ahead: Array, known: Array | bool = True
 ) -> Array:
-    """Share of the way to `ahead` (n, 3) that one step may go, less where the way is not `known` from steps
-    before: lists for more would hold too much."""
+    """Return the share of the path from `x` to `ahead` (n, 3) that one step may take.
+
+    It is less if the path is not `known` from earlier steps. Lists for a longer step would be too long.
+    """
     assert scene.contact is not None and lists is not None
     sigma = scene.contact.range
     free = jnp.maximum(STRIDE * sigma, scene.contact.calm)
@@ -182,11 +198,16 @@ def largest_move(
 def ready_for(
     scene: Scene, state: State, lists: Lists | None, ahead: Array, differs: Array | float = 0.0
 ) -> tuple[State, Lists, Array]:
-    """Whether the lists hold for a step from the state to `ahead` (n, 3), or to what `differs` from that by
-    so many m; where not, what is due before.
+    """Check whether the lists cover the next step; if not, request what must precede it.
 
-    All follows from the state alone, also where pairs have no place in the matrix: the state then says so and
-    waits for the host. Empty lists do where the sheet meets itself nowhere.
+    This is a rebuild of one or both lists, or, if pairs lack entries in the merged matrix, work of the host:
+    the state is then `stale` and waits. All decisions depend on the state alone. Where `Contact.apart`
+    proves that the sheet has no contact, empty lists suffice.
+
+    **Arguments:** `ahead` (n, 3): predicted positions in m after the step; `differs`: bound on their error in
+    m.
+
+    **Returns:** the state, the lists, and whether the step can be taken now.
     """
     contact, listing = listed(scene, lists).contact, state.listing
     assert contact is not None and listing is not None and lists is not None
@@ -202,7 +223,8 @@ def ready_for(
     )
     blunt = sharpest(listed(scene, lists), state.x) < DUE_TURN
     wide = known & ~((listing.candidates.covers(ahead, spare) | apart) & blunt)
-    # What grew on the way must not decide, or a run would go on otherwise where it is resumed.
+    # Compare with the first capacities. The current ones grow during a run, and a resumed run would decide
+    # differently.
     crowded = _far(contact, lists) & jnp.any(lists.near.needed > jnp.asarray(first_room(scene.n_nodes)))
     holds = listing.near.covers(state.x) & listing.near.covers(ahead, spare)
     holds = holds & ~jnp.any(lists.near.overflow) & ~crowded
@@ -220,17 +242,19 @@ def ready_for(
     age = jnp.where(stale, NEVER, state.kept.age)
     state = eqx.tree_at(lambda s: (s.listing, s.kept.age), state, (listing, age))
     ready = known & ~close & ~stale
-    # A list for a short way may be empty: what made the way short counts until a step was tried.
+    # The list for the short step may be empty, so remember why the step is short until it was tried.
     short = ~ready & (lists.short | (lists.near.pair_count > 0))
     lists = lists._replace(wide=listing.candidates, close=listing.near, due=~ready & ~stale, short=short)
     return state, lists, ready
 
 
 def still_ready(scene: Scene, state: State, lists: Lists | None, ahead: Array, differs: Array) -> Array:
-    """Whether the lists hold for one more step of the stage from the state, to `ahead` (n, 3) or to what
-    `differs` (n,) from that by so many m.
+    """Return whether the lists cover one more explicit step.
 
-    For the first one they do not: lists for the longer steps of another stage are long.
+    It is False for the first step of the stage: the lists of another stage, with longer steps, are too long.
+
+    **Arguments:** `ahead` (n, 3): predicted positions in m after the step; `differs` (n,): bound on their
+    error in m.
     """
     contact, listing = listed(scene, lists).contact, state.listing
     assert contact is not None and listing is not None and lists is not None
@@ -242,7 +266,10 @@ def still_ready(scene: Scene, state: State, lists: Lists | None, ahead: Array, d
 
 
 def ready_to_restore(scene: Scene, state: State, lists: Lists | None) -> tuple[Lists, Array]:
-    """The same for making the factor of the last tangent again, which changes nothing else."""
+    """Check whether the lists are those for recomputing the factor of the lagged tangent, else request them.
+
+    **Returns:** the lists, and whether the factor can be computed now.
+    """
     assert scene.contact is not None and lists is not None
     there = Around(state.kept.x, jnp.broadcast_to(SLACK * scene.contact.range, scene.n_nodes))
     lists = lists._replace(wide=there, close=there)
@@ -251,47 +278,50 @@ def ready_to_restore(scene: Scene, state: State, lists: Lists | None) -> tuple[L
 
 
 def _far(contact: Contact, lists: Lists) -> Array:
-    """Whether the list of sites is one for a step that is longer than those where something is near."""
+    """Return whether the list of site pairs is for a step that is longer than steps near contact may be."""
     return ~lists.short & (jnp.max(lists.close.reach) > LONGEST * contact.range)
 
 
 def _have_places(scene: Scene, lists: Lists) -> Array:
-    """Whether all pairs have a place in the matrix, where there is one."""
+    """Return whether all pairs have entries in the merged matrix; True without such a matrix."""
     cross = listed(scene, lists).pattern.contact
     return jnp.asarray(True) if cross is None else cross.placed()
 
 
 def _made(lists: Lists) -> Array:
-    """Whether the lists are those that must be made."""
+    """Return whether the lists were built for the requested motions."""
     return lists.candidates.around.equals(lists.wide) & lists.near.around.equals(lists.close)
 
 
 def _placed(contact: Contact, x: Array, moved: Array) -> Around:
-    """Reach of pairs that get a place in the matrix at positions `x` (n, 3), before steps that move nodes by
-    `moved` (n,)."""
+    """Return the motions that the merged matrix must cover from positions `x` (n, 3), before steps that move
+    nodes by `moved` (n,) in m."""
     floor = PLACED_REACH * contact.range + PLACED_FEWEST * moved
     reach = PLACED_REACH * contact.range + PLACED_STEPS * moved
     return Around(x, jnp.minimum(reach, jnp.maximum(contact.calm, floor)))
 
 
 def _wide(contact: Contact, x: Array, moved: Array, spare: Array) -> Around:
-    """Reach of candidates at positions `x` (n, 3) before steps that move nodes by `moved` (n,), and `spare`
-    m to spare."""
+    """Return the motions that the candidates must cover from positions `x` (n, 3), before steps that move
+    nodes by `moved` (n,) in m, with the margin `spare` in m."""
     least = REACH * contact.range + spare
     furthest = jnp.maximum(least + FURTHEST * contact.range, contact.calm)
     return Around(x, jnp.minimum(least + STEPS * moved, jnp.maximum(least + FEWEST * moved, furthest)))
 
 
 def _close(contact: Contact, x: Array, ahead: Array, moved: Array, spare: Array) -> Around:
-    """Motions of the next steps from `x` (n, 3), of which the first one goes to `ahead` and moves nodes by
-    `moved` (n,): from the middle of their way, so that both its ends are as near as can be."""
+    """Return the motions that the site pairs must cover in the next steps from positions `x` (n, 3).
+
+    The first step goes to `ahead` (n, 3) and moves nodes by `moved` (n,) in m; `spare`: margin in m. The list
+    is centred halfway along the predicted path, which halves the skin.
+    """
     steps = jnp.clip(WAY * contact.range / jnp.maximum(jnp.max(moved), 1e-300), 1.0, SEVERAL)
     reach = spare + HELD * contact.range + 0.5 * ROOM * steps * moved
     return Around(x + 0.5 * steps * (ahead - x), reach)
 
 
 def _comes_through(wall: Wall, state: State, beyond: Array) -> Array:
-    """Whether some of the nodes `beyond` (n,) a wall after a step were on its near side before."""
+    """Return whether some of the nodes `beyond` (n,) a wall after a step were on its near side before."""
 
     def before() -> Array:
         return jnp.any(beyond & (wall.gap(state.x, state.t) >= 0))
@@ -300,8 +330,11 @@ def _comes_through(wall: Wall, state: State, beyond: Array) -> Array:
 
 
 def passes(scene: Scene, state: State, x: Array, t: Array, turn: Array) -> Array:
-    """Whether a step to positions `x` (n, 3) at time `t`, whose `sharpest` turn is known, would pass
-    through a wall or the sheet itself, or leaves the lists behind."""
+    """Return whether to reject a step to positions `x` (n, 3) at time `t` in s.
+
+    It is rejected if it would pass through a wall or the sheet itself, or leaves the motions that the lists
+    cover. `turn`: `sharpest` in rad at `x`.
+    """
     through = jnp.asarray(False)
     for wall in scene.walls:
         through = through | _comes_through(wall, state, wall.gap(x, t) < 0)

@@ -1,4 +1,4 @@
-"""Steps of the dynamic stage: eq. (1) with plastic flow by an explicit method."""
+"""Steps of the explicit stage: eq. (1) with plastic flow by an explicit method."""
 
 import abc
 from typing import Any, NamedTuple, cast
@@ -18,8 +18,9 @@ from jaxcrumple.system import rates
 
 
 class Tried(NamedTuple):
-    """What a method makes of a step: `x`, `v` (n, 3) and `p` (h,) at its end, what the `error` of these three
-    may be, None where it is not looked at, and the slopes there."""
+    """Hold the result of a step: `x`, `v` (n, 3), `p` (h,) and the slopes at its end.
+
+    `error`: estimated errors of x, v and p; None for a variable without an estimate."""
 
     x: Array
     v: Array
@@ -29,9 +30,10 @@ class Tried(NamedTuple):
 
 
 class Attempt(NamedTuple):
-    """A tried step: new `x`, `v`, `p`, the `slopes` there, its `error` in units of the tolerance and the step
-    to try next. `cause` is an index into `CAUSES`, or -1 when the step is accepted; `turn` is `sharpest` at
-    `x`."""
+    """Hold a step attempt: new `x`, `v`, `p` and `slopes`.
+
+    `error`: local error in units of the tolerance; `cause`: index into `CAUSES`, or -1 for an accepted step;
+    `next_h`: next step in s; `turn`: `sharpest` at `x`."""
 
     x: Array
     v: Array
@@ -44,43 +46,44 @@ class Attempt(NamedTuple):
 
     @property
     def accepted(self) -> Array:
-        """Whether the step stands."""
+        """Return whether the step is accepted."""
         return self.cause < 0
 
 
 class AbstractExplicit(eqx.Module):
-    """An explicit method and its options.
+    """Define an explicit method and its options.
 
-    - `rtol`: tolerance in maximum norm: positions over $\\sqrt A$, p over 2, velocities over
-      `Scene.velocity_scale`.
-    - `safety`: share of the estimated stability limit that a step may take.
+    - `rtol`: tolerance in the maximum norm: positions in units of $\\sqrt A$, p in units of 2, velocities in
+      units of `Scene.velocity_scale`.
+    - `safety`: largest step as a share of the estimated stability limit.
     """
 
     rtol: Array
     safety: Array = eqx.field(default=0.8, converter=as_float)
-    # Order of the method, and the power of the step with which its estimate of the local error falls.
+    # Order of the method, and order in the step size of its local error estimate.
     order: eqx.AbstractClassVar[int]
     error_order: eqx.AbstractClassVar[int]
 
     @staticmethod
     @abc.abstractmethod
     def stable(motion: Fastest) -> Array:
-        """Largest stable step in s."""
+        """Return the largest stable step in s."""
 
     @abc.abstractmethod
     def step(self, scene: Scene, state: State, h: Array) -> Tried:
-        """A step of `h` s from a state whose slopes are known."""
+        """Make a step of `h` s from a state whose slopes are known."""
 
     @staticmethod
     @abc.abstractmethod
     def advance(
         scene: Scene, t: Array, h: Array, x: Array, v: Array, p: Array | None
     ) -> tuple[Array, Array, Array | None]:
-        """Positions and velocities (n, 3) and p a step of `h` s after time `t`: what `step` leads to, without
-        its error, to be differentiated."""
+        """Return positions and velocities (n, 3) and p after a step of `h` s from time `t`.
+
+        The result equals that of `step`, without the error estimate; `replay` differentiates it."""
 
     def attempt(self, scene: Scene, state: State, h: Array, cap: Array) -> Attempt:
-        """Try a step of `h` s from a state whose slopes are known; the next one is `cap` s at most."""
+        """Try a step of `h` s from a state whose slopes are known; the next step is at most `cap` s."""
         tried, t1 = self.step(scene, state, h), state.t + h
         units = self._units(scene, tried.error)
         finite = jnp.isfinite(units) & jnp.isfinite(jnp.sum(tried.x)) & jnp.isfinite(jnp.sum(tried.v))
@@ -96,16 +99,16 @@ class AbstractExplicit(eqx.Module):
         return Attempt(tried.x, tried.v, tried.p, tried.slopes, units, cause, next_h, turn)
 
     def _units(self, scene: Scene, error: tuple[Array, Array | None, Array | None]) -> Array:
-        """The error in units of the tolerance."""
+        """Return the error in units of the tolerance."""
         scales: tuple[Array, ...] = (scene.length_scale, scene.velocity_scale, jnp.asarray(2.0))
         parts = [jnp.max(jnp.abs(e)) / scale for e, scale in zip(error, scales, strict=True) if e is not None]
         return jnp.max(jnp.stack(parts)) / self.rtol
 
     def _resized(self, units: Array, t: Array, h: Array, cap: Array) -> tuple[Array, Array]:
-        """Whether a step with that error may be kept, and the step in s to try next."""
+        """Return whether the error `units` allows the step, and the next step in s."""
         controller = diffrax.PIDController(rtol=0.0, atol=1.0, dtmax=cap)
-        # An integral controller keeps no memory, so its state starts afresh with every step; of the equations
-        # it only knows the error.
+        # An integral controller has no memory, so that each step initialises it. It needs the error alone,
+        # and nothing of the equations.
         y, unasked = jnp.zeros(()), cast(Any, None)
         _, memory = controller.init(unasked, t, t + h, y, h, unasked, unasked, self.error_order)
         keep, start, end, _, _, _ = controller.adapt_step_size(
@@ -115,13 +118,13 @@ class AbstractExplicit(eqx.Module):
 
 
 def with_slopes(scene: Scene, state: State, wanted: Array | bool = True) -> State:
-    """The state with its slopes where they are `wanted`, computed if no step handed them on."""
+    """Compute the slopes of the state if they are `wanted` and no step has computed them."""
     due = wanted & ~state.slopes.known
     slopes = where_needed(due, slopes_at, state.slopes, scene, state.x, state.v, state.p, state.t)
     return eqx.tree_at(lambda s: s.slopes, state, slopes)
 
 
 def slopes_at(scene: Scene, x: Array, v: Array, p: Array | None, t: Array) -> Slopes:
-    """Derivatives of `v` (n, 3) and `p` (h,) at positions `x` (n, 3) and time `t`."""
+    """Compute the time derivatives of `v` (n, 3) and `p` (h,) at positions `x` (n, 3) and time `t`."""
     _, acceleration, flow = rates(scene, x, v, p, t)
     return Slopes(acceleration, flow, jnp.asarray(True))

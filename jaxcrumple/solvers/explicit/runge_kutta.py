@@ -14,12 +14,12 @@ from jaxcrumple.solvers.explicit.stability import Fastest
 from jaxcrumple.state import Slopes, State
 from jaxcrumple.system import rates
 
-# Stability of the method on the imaginary axis (2.83) and on the negative real axis (2.79).
+# Stability limit of the method, below those on the imaginary axis (2.83) and the negative real axis (2.79).
 STABILITY = 2.75
 
 
 class RK43(diffrax.AbstractERK):
-    """Kutta's 3/8 rule (order 4) with an embedded third-order method on an extra, reused stage."""
+    """Implement Kutta's 3/8 rule (order 4) with an embedded third-order method on an extra, reused stage."""
 
     tableau = diffrax.ButcherTableau(
         c=np.array([1 / 3, 2 / 3, 1.0, 1.0]),
@@ -35,11 +35,11 @@ class RK43(diffrax.AbstractERK):
     interpolation_cls = diffrax.ThirdOrderHermitePolynomialInterpolation.from_k
 
     def order(self, terms) -> int:
-        """Order of the solution."""
+        """Return the order of the solution."""
         return 4
 
 
-# The stages of a step that is accepted: their times, and rows of the tableau.
+# Times and tableau rows of the stages that the solution needs (without the stage of the error estimate).
 _TIMES = np.append(0.0, RK43.tableau.c[:-1])
 _STAGES = np.zeros((len(_TIMES), len(_TIMES)))
 for _number, _row in enumerate(RK43.tableau.a_lower[:-1], 1):
@@ -56,20 +56,20 @@ _SOLVER = RK43()
 
 
 class RungeKutta(AbstractExplicit):
-    """Order 4, four forces a step: where errors are to be far below what stability asks for."""
+    """Integrate with order 4 and four forces a step, for errors far below those at the stability limit."""
 
     order: ClassVar[int] = 4
     error_order: ClassVar[int] = 4
 
     @staticmethod
     def stable(motion: Fastest) -> Array:
-        """Largest stable step in s."""
+        """Return the largest stable step in s."""
         return STABILITY / jnp.maximum(motion.omega, motion.damping + motion.drag)
 
     def step(self, scene: Scene, state: State, h: Array) -> Tried:
-        """A step of `h` s from a state whose slopes are known."""
+        """Make a step of `h` s from a state whose slopes are known."""
         y0, t1 = (state.x, state.v, state.p), state.t + h
-        # A stage handed on is that of the point before supports are put in their places.
+        # With supports the last stage of the previous step cannot be reused: it precedes their correction.
         anew = jnp.asarray(scene.prescribed is not None)
         stage = jnp.asarray(False), (state.v, state.slopes.acceleration, state.slopes.flow)
         y1, error, _, stages, _ = _SOLVER.step(_TERM, state.t, t1, y0, scene, stage, anew)
@@ -83,7 +83,7 @@ class RungeKutta(AbstractExplicit):
     def advance(
         scene: Scene, t: Array, h: Array, x: Array, v: Array, p: Array | None
     ) -> tuple[Array, Array, Array | None]:
-        """Positions and velocities (n, 3) and p a step of `h` s after time `t`, to be differentiated."""
+        """Return positions and velocities (n, 3) and p after a step of `h` s from time `t`."""
         y = (x, v, p)
 
         def moved(slopes, weights: Array):
@@ -95,7 +95,7 @@ class RungeKutta(AbstractExplicit):
             slope = rates(scene, x, v, p, t + c * h)
             return jax.tree.map(lambda all, k: all.at[number].set(k), slopes, slope), None
 
-        # One stage is compiled, and differentiated, for all of them.
+        # A scan compiles and differentiates one stage instead of four.
         slopes = jax.tree.map(lambda y: jnp.zeros((len(_STAGES), *y.shape)), y)
         rows = jnp.arange(len(_STAGES)), jnp.asarray(_TIMES), jnp.asarray(_STAGES)
         slopes, _ = jax.lax.scan(stage, slopes, rows)

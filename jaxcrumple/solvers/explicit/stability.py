@@ -1,4 +1,4 @@
-"""How fast a sheet vibrates at most: what limits explicit steps."""
+"""The stability limit of explicit steps: bounds of the largest frequency and decay rates of a sheet."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -13,16 +13,16 @@ from jaxcrumple.scene import Scene
 from jaxcrumple.state import Limit
 from jaxcrumple.system import elastic_tangent
 
-# Steps of Lanczos's method: in flat, folded and pressed sheets their bound is 6 to 12 % above the largest
+# Steps of Lanczos's method. In flat, folded and pressed sheets the bound is 6 to 12 % above the largest
 # frequency.
 STEPS = 8
-# A power of two by which the norm of a matrix to that power is its largest eigenvalue within 0.3 %.
+# The norm of a matrix to the power 2^SQUARINGS gives its largest eigenvalue to 0.3 %.
 SQUARINGS = 9
 
 
 class Fastest(NamedTuple):
-    """Bounds in 1/s of the largest frequency `omega`, and of the decay rates that internal `damping` and
-    `drag` cause."""
+    """Hold bounds in 1/s of the largest frequency `omega`, and of the decay rates of internal `damping` and
+    `drag`."""
 
     omega: Array
     damping: Array
@@ -30,11 +30,11 @@ class Fastest(NamedTuple):
 
 
 def fastest(scene: Scene, x: Array, t: ArrayLike = 0.0, p: Array | None = None) -> Fastest:
-    """Bounds for the motion at positions `x` (n, 3), time `t` and rest curvatures `p` (h,), by default those
-    without damage.
+    """Bound frequency and decay rates at positions `x` (n, 3), time `t` and rest curvatures `p` (h,).
 
-    Those of the elastic tangent itself: bounds from its elements are 2.8 times as high where layers press one
-    another. Damping enters as $\\omega^2 b_{int}/k_s$ and $b_{iso}/m$, the largest decay rates.
+    `p` None: the rest curvatures of the undamaged sheet. The bound comes from the assembled elastic tangent,
+    because bounds from its elements are 2.8 times as high in layers that press on each other. The largest
+    decay rates are $\\omega^2 b_{int}/k_s$ and $b_{iso}/m$.
     """
     scene, x, p = jax.lax.stop_gradient((scene, x, p))
     own = _alone(scene)
@@ -59,26 +59,27 @@ def fastest(scene: Scene, x: Array, t: ArrayLike = 0.0, p: Array | None = None) 
 
 
 def _alone(scene: Scene) -> Scene:
-    """The sheet without self-contact."""
+    """Return the scene without self-contact."""
     return eqx.tree_at(
         lambda s: (s.contact, s.pattern.contact), scene, (None, None), is_leaf=lambda leaf: leaf is None
     )
 
 
 def wall_stiffness(scene: Scene, x: Array, t: ArrayLike) -> Array:
-    """Largest stiffness (n,) in N/m by which walls hold each node at positions `x` (n, 3) and time `t`."""
+    """Bound the stiffness (n,) in N/m of the walls at each node, at positions `x` (n, 3) and time `t`."""
     return sum((wall.stiffness_bound(x, jnp.asarray(t)) for wall in scene.walls), jnp.zeros(scene.n_nodes))
 
 
 def beside_walls(scene: Scene, limit: Limit, x: Array, t: Array, stable: Callable[[Fastest], Array]) -> Array:
-    """The largest stable step in s at positions `x` (n, 3) and time `t`, not long after the `limit` of a
-    method, which tells what is `stable`, was measured.
+    """Return the largest stable step in s at positions `x` (n, 3) and time `t`.
 
-    A node that meets a wall stiffens without bound within few steps, so that this is looked at in each.
-    Squares of frequencies add up at most (Weyl's inequality); dashpots, by which the limit falls with their
-    rate itself, leave the least: a share r with $r + (\\omega_w h / z)^2 r^2 = 1$, where h is the limit, z
-    the product of step and frequency that is stable without damping, and the walls became stiffer by
-    $m \\omega_w^2$.
+    It reduces the measured `limit` by the walls that became stiffer after its measurement; `stable` gives the
+    stability limit of the method. A node that meets a wall stiffens without bound within a few steps, so
+    that every step needs this check. The squared frequency grows by at most $\\omega_w^2$ if the walls become
+    stiffer by $m \\omega_w^2$ (Weyl's inequality). The worst case is a step limited by dashpots, because that
+    limit is inversely proportional to their decay rate. The share r of the limit that remains then solves
+    $r + (\\omega_w h / z)^2 r^2 = 1$, with limit h and the stable product z of step and frequency without
+    damping.
     """
     if not scene.walls:
         return limit.step
@@ -89,11 +90,10 @@ def beside_walls(scene: Scene, limit: Limit, x: Array, t: Array, stable: Callabl
 
 
 def largest_eigenvalue(product: Callable[[Array], Array], size: int) -> Array:
-    """Bound of the largest eigenvalue, or 0 where none is positive, of a symmetric matrix that a `product`
-    with vectors (`size`,) stands for.
+    """Bound the largest eigenvalue of a symmetric matrix, given its `product` with vectors (`size`,).
 
-    The largest one in the space of a few steps of Lanczos's method from a random vector, always the same,
-    and the norm of what the last step leaves (Zhou & Li, Linear Algebra Appl. 435, 2011, 480).
+    The bound is the largest Ritz value of a few Lanczos steps from a fixed random vector, plus the norm of
+    the last residual (Zhou & Li, Linear Algebra Appl. 435, 2011, 480). It is 0 if no eigenvalue is positive.
     """
 
     def step(carry: tuple[Array, Array, Array], _: None) -> tuple[tuple[Array, Array, Array], Array]:
@@ -112,10 +112,10 @@ def largest_eigenvalue(product: Callable[[Array], Array], size: int) -> Array:
 
 
 def _largest(a: Array) -> Array:
-    """Largest eigenvalue of a small symmetric matrix (k, k), or little above, from its powers.
+    """Compute the largest eigenvalue of a small symmetric matrix (k, k) from its powers, slightly too large.
 
-    Not by LAPACK: XLA runs a batch of such calls on its thread pool and waits there, so that two of them
-    at once hang a pool of two threads.
+    It avoids LAPACK: XLA runs a batch of such calls on its thread pool and waits there, so that two
+    simultaneous calls hang a pool of two threads.
     """
     shift = jnp.max(jnp.sum(jnp.abs(a), axis=1))
     power, logarithm = a + shift * jnp.eye(len(a)), jnp.zeros(())

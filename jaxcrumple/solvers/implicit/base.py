@@ -1,4 +1,4 @@
-"""What the implicit steps share: a tried step, what forbids it, and the contract of a step formula."""
+"""Common parts of the implicit steps: a step attempt, its rejection, and the interface of a formula."""
 
 import abc
 from typing import NamedTuple
@@ -13,25 +13,27 @@ from jaxcrumple.solvers.implicit.newton import NewtonSolution
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
 from jaxcrumple.state import CAUSES, IMPLICIT, Linearization, State
 
-# Largest growth of the step after a step of order 1 ... 5: below what variable-step BDF tolerates
-# without losing zero-stability (1.62 and 1.28 at orders 3 and 4).
+# Largest growth of the step after a step of order 1 ... 5, below the zero-stability limits of variable-step
+# BDF (1.62 and 1.28 at orders 3 and 4).
 GROWTH = (2.0, 2.0, 1.5, 1.25, 1.12)
-# Share of the tolerance that one step's local error may use. Buckling amplifies what a step leaves
-# behind up to a hundredfold; with this share the measured error of a run stays below rtol.
+# Share of the tolerance that the local error of one step may use. Buckling amplifies local errors up to a
+# hundredfold; with this share the measured error of a run stays below rtol.
 LOCAL_SHARE = 0.01
-# Aim of the step control, and the smallest growth worth a change of step: with 0.7 one step in ten is
-# rejected on `radial`, with 0.8 one in six, for the same number of Newton iterations.
+# Safety factor of the step control, and smallest growth for which the step changes. With 0.7 one step in ten
+# is rejected in `radial`, with 0.8 one in six, for the same number of Newton iterations.
 SAFETY, WORTHWHILE = 0.7, 1.1
-# A step that failed for another reason than its error is cut by this.
+# Factor on the step after a failure other than a too large error.
 CUT = 0.4
 
 
 class Attempt(NamedTuple):
-    """A tried step: new `x`, `v`, `acceleration` (n, 3) and `p`, its `error` in units of the tolerance,
-    the `order` it had, the step and order to take next, and what it took.
-    `factor` and `kept`: the last tangent, and where it was taken. Where `restored`, that is all there is.
+    """Hold a step attempt: new `x`, `v`, `acceleration` (n, 3) and `p` (h,).
 
-    `cause` indexes `CAUSES`, or is -1 when the step is accepted.
+    `error`: local error in units of the tolerance; `cause`: index into `CAUSES`, or -1 for an accepted step;
+    `order`: order of the step; `next_h` in s and `next_order`: size and order of the next step; `factor` and
+    `kept`: factor of the last tangent, and where that tangent was computed; `newton`, `linear`, `factors`:
+    iterations and factorisations of the attempt; `restored`: whether the attempt only recomputed the factor,
+    so that the other fields are meaningless.
     """
 
     x: Array
@@ -52,36 +54,38 @@ class Attempt(NamedTuple):
 
     @property
     def accepted(self) -> Array:
-        """Whether the step stands."""
+        """Return whether the step is accepted."""
         return self.cause < 0
 
 
 class AbstractImplicit(eqx.Module):
-    """A formula for the implicit stages."""
+    """Define a formula of the implicit stages."""
 
     rtol: eqx.AbstractVar[Array]
     linear: eqx.AbstractVar[AbstractLinearSolver]
 
     @abc.abstractmethod
     def predict(self, scene: Scene, state: State, h: Array) -> Array:
-        """Positions (n, 3) after a step of size `h` s as the history tells."""
+        """Predict the positions (n, 3) after a step of `h` s from the history."""
 
     @abc.abstractmethod
     def differs(self, scene: Scene, state: State, h: Array) -> Array:
-        """How far in m a node may be from `predict` after a step whose error is tolerated; 0: not known."""
+        """Bound the distance in m of a node from `predict` after an accepted step; 0 if unknown."""
 
     @abc.abstractmethod
     def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array) -> Attempt:
-        """Try a step of size `h` s in the state's stage; `held`: whether `factor` is of `state.kept`."""
+        """Try a step of `h` s in the state's stage.
+
+        `held`: whether `factor` is the factor of the tangent `state.kept`."""
 
 
 def aligns(state: State) -> Array:
-    """Whether the next step only makes the velocity balance the forces: a quasistatic start."""
+    """Return whether the next step is a quasistatic start, which only aligns the velocity with the forces."""
     return (state.history.count == 0) & (state.stage != IMPLICIT)
 
 
 def judge(scene: Scene, state: State, solution: NewtonSolution, x: Array, t: Array, error: Array) -> Array:
-    """Index into `CAUSES` of what forbids the step to `x` at time `t`, or -1."""
+    """Return the cause (index into `CAUSES`) to reject the step to `x` at time `t`, or -1 to accept it."""
     before = scene.bending.hinges(state.x).theta
     after = scene.bending.hinges(x).theta
     finite = jnp.all(jnp.isfinite(x)) & jnp.isfinite(error)
@@ -102,9 +106,9 @@ def judge(scene: Scene, state: State, solution: NewtonSolution, x: Array, t: Arr
 
 
 def resized(h: Array, order: Array, error: Array, cause: Array, judged: Array | None = None) -> Array:
-    """Step size after an attempt: from the error if it was judged by it, else a fixed cut.
+    """Return the step size in s after an attempt: from its error, or reduced by CUT after another failure.
 
-    `order` is the next step's, `judged` that of the solution whose error is known (the same if None).
+    `order`: order of the next step; `judged`: order of the solution that `error` belongs to (None: `order`).
     """
     judged = order if judged is None else judged
     by_error = SAFETY * jnp.maximum(error, 1e-10) ** (-1.0 / (judged + 1))

@@ -1,4 +1,4 @@
-"""Variable-step multistep formulas from the step history: BDF, and a two-step family for inertia."""
+"""Variable-step multistep formulas: BDF, and a two-step family for steps with inertia."""
 
 from typing import NamedTuple
 
@@ -10,12 +10,12 @@ from jaxcrumple.state import HISTORY, History, ImplicitStep, Points, implicit_st
 
 
 def _lags(h: Array, steps: Array) -> Array:
-    """Distance (6,) from the new time back to each point of the history."""
+    """Return the time (6,) in s from each point of the history to the new time."""
     return h + jnp.concatenate([jnp.zeros(1, steps.dtype), jnp.cumsum(steps[:-1])])
 
 
 def extrapolation(h: Array, steps: Array, points: Array) -> Array:
-    """Weights (6,) of the Lagrange predictor through the newest `points` points, at the new time."""
+    """Return the weights (6,) at the new time of the Lagrange predictor through the newest `points`."""
     lags = _lags(h, steps)
     used = jnp.arange(HISTORY) < points
     ratio = lags[None, :] / jnp.where(jnp.eye(HISTORY, dtype=bool), 1.0, lags[None, :] - lags[:, None])
@@ -24,9 +24,9 @@ def extrapolation(h: Array, steps: Array, points: Array) -> Array:
 
 
 def coefficients(h: Array, steps: Array, order: Array) -> tuple[Array, Array]:
-    """BDF coefficients of eq. (39): the derivative at the new time of the interpolant.
+    """Compute the BDF coefficients of eq. (39), the derivative of the interpolant at the new time.
 
-    **Arguments:** `h` new step in s; `steps` (6,) past steps; `order` 1 ... 6 (may be traced).
+    **Arguments:** `h`: new step in s; `steps` (6,): past steps in s; `order`: 1 ... 6 (may be traced).
 
     **Returns:** `alpha` (6,), zero beyond the order, and `beta * h`, such that
     $\\dot y_{new} = (y_{new} + \\sum_j \\alpha_j y_j)/(\\beta h)$.
@@ -38,37 +38,37 @@ def coefficients(h: Array, steps: Array, order: Array) -> tuple[Array, Array]:
 
 
 def error_constant(h: Array, steps: Array, order: Array) -> Array:
-    """Local error of BDF `order` as a share of (solution - predictor through order + 1 points).
+    """Return the local error of BDF `order` as a share of (solution - predictor through order + 1 points).
 
-    Both are the same divided difference of order + 2 points times a known polynomial in the steps:
-    the share is $\\beta h / (t_{new} - t_{order})$, whatever the step ratios.
+    Both are the divided difference of order + 2 points times a polynomial in the steps. Their ratio is
+    therefore $\\beta h / (t_{new} - t_{order})$ for any step ratios.
     """
     _, beta_h = coefficients(h, steps, order)
     return beta_h / _lags(h, steps)[order]
 
 
-# How far the region of instability of BDF 3, 4 and 5 reaches to the left of the imaginary axis, in 1/h.
+# Extent of the instability region of BDF 3, 4 and 5 to the left of the imaginary axis, in 1/h.
 REACH = (1.0 / 12.0, 2.0 / 3.0, 2.3272)
-# Room for steps that vary.
+# Margin for variable steps.
 REACH_MARGIN = 1.2
 
 
 def damped_order(h: Array, decay: Array) -> Array:
-    """Largest order of BDF, 2 to 5, that is stable with inertia at steps of `h` s.
+    """Return the largest order of BDF, 2 to 5, that is stable with inertia at steps of `h` s.
 
-    `decay` in 1/s is the rate at which the least damped vibration decays: where drag is proportional to
-    mass, $\\lambda^2 + (b/m) \\lambda + \\omega^2 = 0$, and every complex eigenvalue has the real part -b/2m
-    whatever its frequency. Orders above 2 are unstable on a bounded region about the imaginary axis only,
-    which all modes leave as soon as h b/2m exceeds its reach.
+    `decay` in 1/s: decay rate of the least damped vibration. With drag proportional to mass,
+    $\\lambda^2 + (b/m) \\lambda + \\omega^2 = 0$, and every complex eigenvalue has the real part -b/2m at any
+    frequency. Orders above 2 are unstable in a bounded region near the imaginary axis only. All modes lie
+    outside it if h b/2m exceeds its extent.
     """
     return 2 + jnp.sum(h * decay > REACH_MARGIN * jnp.asarray(REACH))
 
 
 class TwoStep(NamedTuple):
-    """A step of the two-step family for the unknown $Y = \\theta y_{new} + (1 - \\theta) y_0$.
+    """Hold the coefficients of the two-step family for the unknown $Y = \\theta y_{new} + (1 - \\theta) y_0$.
 
-    $\\dot Y = (Y + \\sum_j \\alpha_j y_j)/(\\beta h)$ with `alpha` (6,); `error` is the local error as a
-    share of (solution - predictor through three points, or the Euler step at order 1).
+    $\\dot Y = (Y + \\sum_j \\alpha_j y_j)/(\\beta h)$ with `alpha` (6,) and `beta_h` in s; `error`: local
+    error as a share of (solution - predictor). The predictor uses three points, or an Euler step at order 1.
     """
 
     alpha: Array
@@ -77,12 +77,12 @@ class TwoStep(NamedTuple):
 
 
 def two_step(h: Array, steps: Array, order: Array, theta: Array) -> TwoStep:
-    """One-leg method of order 1 or 2, A-stable for theta in [1/2, 1], for stages with inertia.
+    """Compute a one-leg method of order 1 or 2 for stages with inertia, A-stable for theta in [1/2, 1].
 
-    The derivative at $t_0 + \\theta h$ of the parabola through the new point and the last two equals the
-    right-hand side at $\\theta y_{new} + (1 - \\theta) y_0$. $\\theta = 1$ is BDF2, 1/2 the implicit
-    midpoint rule; a mode of infinite frequency shrinks by $\\rho_\\infty = (1 - \\theta)/\\theta$ a step. On
-    the imaginary axis the loss is proportional to $\\theta (\\theta - 1/2) (1 - \\cos\\varphi)^2 \\ge 0$.
+    The derivative at $t_0 + \\theta h$ of the parabola through the new point and the last two points equals
+    the right-hand side at $\\theta y_{new} + (1 - \\theta) y_0$. $\\theta = 1$ gives BDF2, 1/2 the implicit
+    midpoint rule. A step multiplies a mode of infinite frequency by $\\rho_\\infty = (1 - \\theta)/\\theta$.
+    On the imaginary axis the loss is proportional to $\\theta (\\theta - 1/2) (1 - \\cos\\varphi)^2 \\ge 0$.
     """
     first, last = steps[0], steps[1]
     s = theta * h
@@ -100,11 +100,11 @@ def two_step(h: Array, steps: Array, order: Array, theta: Array) -> TwoStep:
 
 
 class Formula(NamedTuple):
-    """A step's formula: $\\dot Y = (Y + \\sum_j \\alpha_j y_j)/(\\beta h)$ for the unknown
+    """Hold a step's formula: $\\dot Y = (Y + \\sum_j \\alpha_j y_j)/(\\beta h)$ for the unknown
     $Y = \\theta y_{new} + (1 - \\theta) y_0$.
 
-    `alpha` (6,); `beta_h` in s; `inertia`: 0 or 1, or None for never any; `share`: local error as a share of
-    corrector - predictor.
+    `alpha` (6,); `beta_h` in s; `inertia`: 0 or 1, or None if no stage has inertia; `share`: local error as a
+    share of corrector - predictor.
     """
 
     alpha: Array
@@ -114,14 +114,16 @@ class Formula(NamedTuple):
     share: Array
 
     def equations(self, scene: Scene, history: Points, t: Array, h: Array) -> ImplicitStep:
-        """What a step of `h` s from time `t` on solves."""
+        """Return the equations of a step of `h` s from time `t`."""
         when = t + self.theta * h
         return implicit_step(scene, history, self.alpha, self.beta_h, when, self.inertia)
 
 
 def step_formula(h: Array, steps: Array, order: Array, moves: Array | None, rho_infinity: Array) -> Formula:
-    """Formula of a step of `h` s and of `order` after past `steps` (6,) in s: BDF, or where the step `moves`,
-    with inertia, and is of order 1 or 2, the two-step family; `moves` None: never."""
+    """Return the formula of a step of `h` s and of `order`, after past `steps` (6,) in s.
+
+    It is the two-step family for steps of order 1 or 2 with inertia (`moves`), and BDF for others. `moves`
+    is None if no stage has inertia."""
     alpha, beta_h = coefficients(h, steps, order)
     share = error_constant(h, steps, order)
     if moves is None:
@@ -135,7 +137,7 @@ def step_formula(h: Array, steps: Array, order: Array, moves: Array | None, rho_
 
 
 def push(history: History, h: Array, x: Array, v: Array, p: Array | None, order: Array) -> History:
-    """History with a new accepted point in front."""
+    """Insert a new accepted point at the front of the history."""
 
     def shift(past: Array, new: Array) -> Array:
         return jnp.concatenate([new[None], past[:-1]])

@@ -14,15 +14,15 @@ from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
 from jaxcrumple.state import ImplicitStep, State, implicit_step
 from jaxcrumple.system import residual
 
-# The paper's orders, and the points of its predictor.
+# Order of the paper's solution, and number of points of its predictor.
 ORDER, PREDICTOR_POINTS = 4, 4
 
 
 class BDFPair(AbstractImplicit):
-    """The step of order s, 4 once the history is long enough, judged by a second solve of order s - 1
-    (Section 3.2). It has no inertia: snaps are the explicit stage's.
+    """Implement the paper's step of order s, with the error from a second solve of order s - 1 (Section 3.2).
 
-    Fields as in `VariableOrder`.
+    The order is 4 as soon as the history is long enough. The step has no inertia, because the explicit stage
+    integrates snaps. Fields as in `VariableOrder`.
     """
 
     rtol: Array
@@ -31,18 +31,18 @@ class BDFPair(AbstractImplicit):
     max_iterations: int = eqx.field(static=True, default=8)
 
     def predict(self, scene: Scene, state: State, h: Array) -> Array:
-        """Positions (n, 3) after a step of size `h` s as the history tells."""
+        """Predict the positions (n, 3) after a step of `h` s from the history."""
         history = state.history
         points = jnp.clip(history.count, 1, PREDICTOR_POINTS)
         guess = jnp.tensordot(extrapolation(h, history.steps, points), history.x, 1)
         return guess if scene.prescribed is None else scene.prescribed.position(guess, state.t + h)
 
     def differs(self, scene: Scene, state: State, h: Array) -> Array:
-        """Not known: the error is that of another pair of solutions."""
+        """Return 0, unknown: the error estimate does not use the predictor."""
         return jnp.zeros(())
 
     def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array) -> Attempt:
-        """Try a step of size `h` s."""
+        """Try a step of `h` s."""
         history = state.history
         order = jnp.clip(history.count, 1, ORDER)
         step = _equations(scene, state, h, order)
@@ -71,7 +71,8 @@ class BDFPair(AbstractImplicit):
         return newton(scene, step, guess, self.linear, factor, tolerance, self.max_iterations, None, yes)
 
     def _first_error(self, scene: Scene, state: State, step: ImplicitStep, x, h, factor: Factor) -> Array:
-        """Distance from an explicit Euler step, less what decays within the step (the tangent knows)."""
+        """Return half the difference from an explicit Euler step; a solve with the tangent removes the modes
+        that decay within the step."""
         euler = 0.5 * (x - state.x - jnp.where(aligns(state), 0.0, h) * state.v)
         if scene.drag is None:
             return euler
@@ -80,7 +81,9 @@ class BDFPair(AbstractImplicit):
         return jnp.where(aligns(state), euler, filtered.reshape(x.shape))
 
     def _error(self, scene: Scene, state: State, h, order, upper, lower, second, first_step) -> Array:
-        """Difference of the two solutions over the tolerance; at order 1 from an explicit Euler step."""
+        """Return the difference of the two solutions in units of the tolerance.
+
+        At order 1 it is the difference from an explicit Euler step."""
         x, p = upper
         gap = jnp.where(order == 1, first_step, second.x - x)
         position = jnp.max(jnp.abs(gap)) / scene.length_scale

@@ -14,23 +14,26 @@ from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
 from jaxcrumple.state import NEVER, ImplicitStep, Linearization
 from jaxcrumple.system import linearize, residual
 
-# An iteration that grows by more than this factor has left the basin of the root.
+# An iteration diverges if its update grows by more than this factor.
 DIVERGENCE = 2.0
-# A kept tangent is renewed where so many more iterations with it would not do: it costs as much as these.
+# Refactorise if PATIENCE more iterations with the lagged tangent would not converge; a factorisation costs
+# about that many.
 PATIENCE = 4
-# A tangent of an earlier step is kept for so many steps with inertia, while beta h stays within this ratio.
+# Steps with inertia use a lagged tangent for MOST_STEPS steps at most, and while the ratio of the beta h of
+# both steps lies between RATIO and 1/RATIO.
 MOST_STEPS, RATIO = 20, 0.6
-# Forcing term: relative residual to which each linear system is solved. A direct solver meets it with
-# one back substitution; what an iterative one leaves is found by the next iteration.
+# Forcing term: relative residual of each linear system. A direct solver meets it with one back substitution;
+# the next Newton iteration corrects the residual of an iterative solver.
 FORCING = 1e-3
 
 
 class NewtonSolution(NamedTuple):
-    """Outcome of a Newton iteration.
+    """Hold the outcome of a Newton iteration.
 
-    `x` (n, 3); `factor` the last tangent's, and `kept`, where that was taken; `iterations`, `linear`
-    iterations and `factors` made; `converged`; `indefinite`: a tangent had a negative eigenvalue, so the
-    equilibrium is unstable; `restored`: nothing but a factor that was not held was made again.
+    `x` (n, 3); `factor`: factor of the last tangent; `kept`: where that tangent was computed; `iterations`;
+    `linear`: iterations of the linear solver; `factors`: number of factorisations; `converged`; `indefinite`:
+    whether a tangent had a negative eigenvalue, so that the equilibrium is unstable; `restored`: whether the
+    call only recomputed a missing factor.
     """
 
     x: Array
@@ -69,14 +72,16 @@ def newton(
     kept: Linearization | None,
     held: Array,
 ) -> NewtonSolution:
-    """Find x with zero residual, with the exact tangent.
+    """Find x with zero residual by Newton's method.
 
-    A solver whose factor solves exactly keeps tangent and factor for as long as they contract, also from one
-    step with inertia to the next: `kept` says where the factor's tangent was taken, and `held` whether the
-    factor is there; where not, it is made again and nothing else. For other solvers every iteration has its
-    own tangent and the first one's preconditioner. Stops when the remaining error, estimated from the
-    contraction of the updates, is below `tolerance` (m, maximum norm), or when the updates grow, or the
-    tangent is indefinite, or after `max_iterations`.
+    With an exact solver the tangent and its factor are lagged as long as the updates contract, also from one
+    step with inertia to the next. `kept` states where the tangent of `factor` was computed, and `held`
+    whether `factor` is valid. If it is not, the call only recomputes it. With other solvers every iteration
+    computes its own tangent, and uses the preconditioner of the first one.
+
+    The iteration stops when the remaining error, estimated from the contraction of the updates, is below
+    `tolerance` (m, maximum norm). It also stops when the updates grow, when the tangent is indefinite, or
+    after `max_iterations`.
     """
     old = Linearization(step, guess, jnp.asarray(NEVER, int)) if kept is None else kept
     restores = must_restore(old, held)
@@ -105,10 +110,10 @@ def newton(
         first = jnp.isinf(carry.update)
         contraction = jnp.where(first, 1.0, update / carry.update)
         remaining = jnp.where(contraction < 1, contraction / (1 - contraction) * update, jnp.inf)
-        # Without a contraction rate yet, quadratic convergence is trusted only for tiny updates.
+        # The first update has no contraction rate; quadratic convergence is assumed for tiny updates only.
         converged = (remaining < tolerance) | (update < 0.01 * tolerance)
         lost = ~jnp.isfinite(update) | (contraction > DIVERGENCE) | solution.indefinite
-        # With the tangent of an earlier step that says nothing yet: start again with this step's own.
+        # Failure with the tangent of an earlier step proves nothing: restart with the tangent of this step.
         again = lost & (kept.age > 0)
         return _Carry(
             jnp.where(again, guess, carry.x + change),
@@ -145,19 +150,21 @@ def newton(
 
 
 def must_restore(kept: Linearization, held: Array) -> Array:
-    """Whether the factor of the last tangent is wanted but not `held`."""
+    """Return whether the lagged tangent is usable but its factor is missing (not `held`)."""
     return (kept.age < NEVER) & ~held
 
 
 def _usable(step: ImplicitStep, kept: Linearization) -> Array:
-    """Whether the tangent of an earlier step may do for this one."""
+    """Return whether the tangent of an earlier step may serve this step."""
     ratio = step.beta_h / kept.step.beta_h
     alike = (ratio > RATIO) & (ratio * RATIO < 1.0)
     return alike & (kept.age < MOST_STEPS) & (step.inertia * kept.step.inertia > 0)
 
 
 def _relaxation(step: ImplicitStep, kept: Linearization) -> Array:
-    """Factor of a change found with the tangent of another step, whose inertia has another weight: the
-    one that leaves least of both what inertia and what stiffness dominates."""
+    """Return the relaxation factor of an update with the tangent of another step.
+
+    The two steps weight inertia differently. The factor minimises the larger of the errors left in modes
+    dominated by inertia and in modes dominated by stiffness."""
     weight = (kept.step.beta_h / step.beta_h) ** 2
     return 2.0 / (1.0 + weight)

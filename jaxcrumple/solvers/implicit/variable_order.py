@@ -1,4 +1,4 @@
-"""The implicit stages by one solve a step: BDF of order 1 to 5, with inertia where drag makes it stable."""
+"""Implicit stages with one solve a step: BDF of order 1 to 5, limited by stability in steps with inertia."""
 
 from typing import NamedTuple
 
@@ -25,37 +25,40 @@ from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
 from jaxcrumple.state import CAUSES, IMPLICIT, ImplicitStep, State
 from jaxcrumple.system import residual
 
-# A change of order must promise a step longer by this factor.
+# The order changes only for a step longer by this factor.
 ORDER_GAIN = 1.1
-# From the largest component of a difference to its length.
+# Largest ratio of the length of a vector to its largest component.
 DIAGONAL = 3.0**0.5
-# Newton's iterate comes from an extrapolation, and what is left of the way from there feeds energy in. With
-# rho_infinity > 0, whose formula loses little of it or none, Newton's error is this much smaller.
+# Newton's iteration starts from an extrapolation, and its remaining error adds energy. Formulas with
+# rho_infinity > 0 dissipate little or none of it, so that their Newton tolerance is smaller by this factor.
 CONSERVING = 1e-3
-# Steps with inertia whose errors may add up before each must leave less, and the most that are allowed for.
+# If drag lets the errors of more than REMEMBERED steps with inertia add up, each step gets a smaller share of
+# the tolerance; the share stops falling at MOST_REMEMBERED steps.
 REMEMBERED, MOST_REMEMBERED = 500.0, 1e4
-# Local error in contact ranges that a step may leave at most: contact grows e-fold within a few hundredths,
-# so that from a worse prediction Newton's iteration does not converge.
+# Largest local error in contact ranges. The contact force grows e-fold within a few hundredths of a range, so
+# that Newton's iteration does not converge from a worse prediction.
 CONTACT_SHARE = 0.01
 
 
 class VariableOrder(AbstractImplicit):
-    """Predictor, corrector and their difference as the error estimate.
+    """Implement steps whose error estimate is the difference of predictor and corrector.
 
-    The order is the one, up to `max_order`, that promises the longest step. Steps with inertia use the
-    two-step family of `two_step`, and BDF 3 to 5 where the step is long enough for drag to make them
-    stable (`damped_order`).
+    The step control chooses the order, up to `max_order`, with the longest predicted step. Steps with inertia
+    use the two-step family of `two_step`. They use BDF 3 to 5 if the step is long enough for drag to make
+    these stable (`damped_order`).
 
-    - `rtol`: tolerance on the local error in maximum norm: positions over $\\sqrt A$, p over 2.
+    - `rtol`: tolerance on the local error in the maximum norm: positions in units of $\\sqrt A$, p in units
+      of 2.
     - `linear`: the linear solver.
-    - `rho_infinity`: what a step with inertia leaves of a mode of infinite frequency, 0 (BDF2) to 1
-      (the midpoint rule, which leaves all). Above 0 Newton's error is CONSERVING times smaller, for it would
-      feed in more energy than the formula loses.
-    - `inertial_share`: share of `rtol` that the local error of a step with inertia may use; less where
-      drag forgets so slowly that more than `REMEMBERED` steps add up.
-    - `newton_share`: Newton's error as a share of what a step may leave.
+    - `rho_infinity`: share of the amplitude of a mode of infinite frequency that a step with inertia leaves,
+      from 0 (BDF2) to 1 (midpoint rule). Above 0 the Newton tolerance is smaller by the factor CONSERVING,
+      because the error would add more energy than the formula dissipates.
+    - `inertial_share`: share of `rtol` that the local error of a step with inertia may use. It decreases if
+      drag is so weak that the errors of more than `REMEMBERED` steps add up.
+    - `newton_share`: Newton tolerance as a share of the tolerated local error.
+    - `max_order`: largest order, 1 to 5.
     - `max_iterations`: Newton iterations before a step is rejected.
-    - `inertia`: whether any stage has inertia; without it nothing is compiled for it.
+    - `inertia`: whether any stage has inertia; without it, no code for inertia is compiled.
     """
 
     rtol: Array
@@ -68,21 +71,21 @@ class VariableOrder(AbstractImplicit):
     max_iterations: int = eqx.field(static=True, default=8)
 
     def equations(self, scene: Scene, state: State, h: Array) -> tuple[ImplicitStep, Array]:
-        """What a step of size `h` s from a state solves, and the positions (n, 3) its Newton starts from."""
+        """Return the equations of a step of `h` s, and the start (n, 3) of Newton's iteration."""
         formula = self._formula(scene, state, h)
         return formula.step, _start(formula, state, _predicted(scene, state, h, formula.orders.used))
 
     def predict(self, scene: Scene, state: State, h: Array) -> Array:
-        """Positions (n, 3) after a step of size `h` s as the history tells."""
+        """Predict the positions (n, 3) after a step of `h` s from the history."""
         return _predicted(scene, state, h, self._orders(scene, state, h).used)
 
     def differs(self, scene: Scene, state: State, h: Array) -> Array:
-        """How far in m a node may be from `predict` after a step whose error is tolerated."""
+        """Bound the distance in m of a node from `predict` after an accepted step."""
         share = self._formula(scene, state, h).share
         return DIAGONAL * self._allowed(scene, state, h) / share * scene.length_scale
 
     def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array) -> Attempt:
-        """Try a step of size `h` s in the state's stage."""
+        """Try a step of `h` s in the state's stage."""
         formula = self._formula(scene, state, h)
         theta, step, order = formula.theta, formula.step, formula.orders.used
         predicted = _predicted(scene, state, h, order)
@@ -106,7 +109,7 @@ class VariableOrder(AbstractImplicit):
         )  # fmt: skip
 
     def _newton_share(self, state: State) -> Array:
-        """`newton_share`, less where the formula is to conserve energy."""
+        """Return `newton_share`, reduced for formulas that conserve energy."""
         if not self.inertia:
             return self.newton_share
         conserves = (state.stage == IMPLICIT) & (self.rho_infinity > 0)
@@ -133,7 +136,7 @@ class VariableOrder(AbstractImplicit):
         return select(moves, inertial, orders)
 
     def _stable_order(self, scene: Scene, h: Array) -> Array:
-        """Largest order of a step with inertia, 2 at least."""
+        """Return the largest stable order of a step with inertia, at least 2."""
         if scene.drag is None:
             return jnp.asarray(2)
         decay = 0.5 * jnp.min(scene.drag.coefficient / scene.mass)
@@ -141,10 +144,10 @@ class VariableOrder(AbstractImplicit):
         return jnp.minimum(damped_order(h, decay), largest)
 
     def _filtered(self, scene: Scene, state: State, step: ImplicitStep, change: Array, factor) -> Array:
-        """Corrector minus predictor; of a first quasistatic step what the formula does not damp.
+        """Return corrector minus predictor, filtered in the first quasistatic step.
 
-        Its predictor is an explicit Euler step, which overshoots what decays within the step; the
-        tangent filters that out.
+        The predictor of that step is an explicit Euler step, which overshoots modes that decay within the
+        step. A solve with the tangent removes their part.
         """
         if scene.drag is None:
             return change
@@ -158,7 +161,9 @@ class VariableOrder(AbstractImplicit):
         return where_needed(first, solve, change, scene.pattern, factor, pull)
 
     def _errors(self, scene: Scene, state: State, h, formula: "_Formula", x, p, change) -> Array:
-        """Local errors (3,) of the orders below, at and above the step's, in units of the tolerance."""
+        """Estimate the local errors (3,) one order below, at, and one above the step's order.
+
+        Their unit is the tolerance; the error of an order that cannot be used is infinite."""
         history, orders = state.history, formula.orders
         order = orders.used
         starts = history.count <= 1
@@ -168,8 +173,8 @@ class VariableOrder(AbstractImplicit):
             flow = scene.plasticity.rate(curvature(scene.bending.hinges(state.x).theta), state.p)
             gap = jnp.where(starts, p - state.p - h * flow, gap)
             here = jnp.maximum(here, 0.5 * jnp.max(jnp.abs(gap)))
-        # A start compares with an Euler step, whose error is the formula's reversed; the step that
-        # aligns the velocity has nothing to compare with, and may move by the whole tolerance.
+        # The predictor of a start is an Euler step, whose error is minus that of the formula. The step that
+        # aligns the velocity has no predictor, and may use the whole tolerance.
         share = jnp.where(starts, 0.5, formula.share)
         allowed = jnp.where(aligns(state), self.rtol, self._allowed(scene, state, h))
         errors = [jnp.asarray(jnp.inf), share * here / allowed, jnp.asarray(jnp.inf)]
@@ -184,7 +189,7 @@ class VariableOrder(AbstractImplicit):
         return jnp.stack(errors)
 
     def _allowed(self, scene: Scene, state: State, h: Array) -> Array:
-        """Local error, relative to the scales, that a step of `h` s may leave."""
+        """Return the tolerated local error of a step of `h` s, relative to the scales."""
         share = self.inertial_share * _remembered(scene, h)
         allowed = self.rtol * jnp.where(state.stage == IMPLICIT, share, LOCAL_SHARE)
         if scene.contact is None:
@@ -192,7 +197,7 @@ class VariableOrder(AbstractImplicit):
         return jnp.minimum(allowed, CONTACT_SHARE * scene.contact.range / scene.length_scale)
 
     def _next(self, h, order, errors, cause) -> tuple[Array, Array]:
-        """Step and order to take next: those that promise the longest step."""
+        """Choose the next step and order: those with the longest predicted step."""
         orders = order + jnp.arange(-1, 2)
         reach = jnp.maximum(errors, 1e-10) ** (-1.0 / (orders + 1))
         best = jnp.argmax(reach * jnp.asarray([1.0, ORDER_GAIN, 1.0]))
@@ -201,7 +206,7 @@ class VariableOrder(AbstractImplicit):
 
 
 class _Orders(NamedTuple):
-    """The order that a step has, and between which ones that of the next may be chosen."""
+    """Hold the order of a step, and the lowest and highest order of the next one."""
 
     lowest: Array
     used: Array
@@ -209,7 +214,7 @@ class _Orders(NamedTuple):
 
 
 class _Formula(NamedTuple):
-    """A step's equations, its theta, its orders, and the error's share of corrector - predictor."""
+    """Hold a step's equations, theta and orders, and the error's share of corrector - predictor."""
 
     step: ImplicitStep
     theta: Array
@@ -218,16 +223,17 @@ class _Formula(NamedTuple):
 
 
 def _remembered(scene: Scene, h: Array) -> Array:
-    """Factor of a step's share of the tolerance where drag lets more than `REMEMBERED` steps of `h` add up.
+    """Return the reduction of a step's share of the tolerance if errors of many steps of `h` s add up.
 
-    A wave decays with exp(-b t / 2m), and what the steps left in it with it.
+    A wave decays as exp(-b t / 2m), and so do the local errors in it. The factor is below 1 if more than
+    `REMEMBERED` steps fit into 2m/b.
     """
     steps = 2.0 * scene.inertial_time / h
     return jnp.clip(REMEMBERED / steps, REMEMBERED / MOST_REMEMBERED, 1.0)
 
 
 def _predicted(scene: Scene, state: State, h: Array, order: Array) -> Array:
-    """Positions (n, 3) from the history alone, or by the velocity when there is one point only."""
+    """Extrapolate the positions (n, 3) from the history, or by the velocity if it has one point only."""
     history = state.history
     predicted = jnp.tensordot(extrapolation(h, history.steps, order + 1), history.x, 1)
     euler = state.x + jnp.where(aligns(state), 0.0, h) * state.v
@@ -236,17 +242,17 @@ def _predicted(scene: Scene, state: State, h: Array, order: Array) -> Array:
 
 
 def _start(formula: _Formula, state: State, predicted: Array) -> Array:
-    """The point at which the equations hold, as predicted."""
+    """Return the predicted unknown of the formula, the weighted mean of new and old positions."""
     return formula.theta * predicted + (1.0 - formula.theta) * state.x
 
 
 def _whole(theta: Array, mean: Array, old: Array) -> Array:
-    """New value from the weighted mean of new and old."""
+    """Recover the new value from the weighted mean of new and old."""
     return old + (mean - old) / theta
 
 
 def _gap(new: Array, past: Array | None, weights: Array) -> Array:
-    """Difference of a new value from the one that `weights` (6,) predict from the past."""
+    """Return the difference of a new value from its prediction with `weights` (6,)."""
     assert past is not None
     return new - jnp.tensordot(weights, past, 1)
 

@@ -1,8 +1,8 @@
 """Linear solvers for the symmetric tangent, behind one interface usable inside jit.
 
-A solver is a set of options. `start` prepares a workspace for one pattern, `factor` renews it for
-new values and counts the negative eigenvalues when it can (-1: not known), `solve` uses it on these
-values or on others near them.
+A solver is a set of options. `start` prepares a workspace for one pattern. `factor` updates it for new
+values, and counts their negative eigenvalues if it can (-1: unknown). `solve` uses it for these values, or
+for values close to them.
 """
 
 import abc
@@ -16,7 +16,8 @@ from jaxcrumple.assembly.sparsity import Pattern
 
 
 class Factor(NamedTuple):
-    """A prepared matrix: its `values` (size,), a solver's own `workspace`, `negative` eigenvalues."""
+    """Hold a factored matrix: its `values` (size,), the solver's `workspace`, and the number of `negative`
+    eigenvalues."""
 
     values: Array
     workspace: Any
@@ -24,7 +25,7 @@ class Factor(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """`x` (3n,), `iterations` spent, and whether the matrix showed negative curvature."""
+    """Hold the solution `x` (3n,), the `iterations`, and whether the matrix was found `indefinite`."""
 
     x: Array
     iterations: Array
@@ -32,41 +33,45 @@ class Solution(NamedTuple):
 
 
 class AbstractLinearSolver(eqx.Module):
-    """Contract of a linear solver. `exact` says that one application of a factor solves its system,
-    `one_matrix` that it needs the tangent in one matrix, contact included, whose structure the host makes."""
+    """Define the interface of a linear solver.
+
+    `exact`: whether one application of a factor solves its system; `one_matrix`: whether the solver needs
+    sheet and contact merged into one matrix, whose structure the host builds."""
 
     exact: eqx.AbstractClassVar[bool]
     one_matrix: ClassVar[bool] = False
 
     @abc.abstractmethod
     def start(self, pattern: Pattern) -> Factor:
-        """A workspace of the right structure, holding the identity."""
+        """Build a workspace for the pattern, with the identity matrix."""
 
     @abc.abstractmethod
     def factor(self, pattern: Pattern, values: Array, previous: Factor) -> Factor:
-        """Prepare new `values`."""
+        """Factor new `values` (size,)."""
 
     @abc.abstractmethod
     def solve(
         self, pattern: Pattern, factor: Factor, values: Array | None, rhs: Array, rtol: Array | float
     ) -> Solution:
-        """Solve A x = `rhs` (3n,), A being `values`, until the residual is `rtol` of it; the factor may
-        be that of older values. None for the factor's own values."""
+        """Solve A x = `rhs` (3n,) to a residual of `rtol` relative to `rhs`.
+
+        `values` (size,) are the entries of A, or None for those of the factor. The factor may be that of
+        older values."""
 
     def solve_factored(self, pattern: Pattern, factor: Factor, rhs: Array, rtol: Array | float) -> Array:
-        """Solution (3n,) for the factor's own values, to `rtol` at least."""
+        """Solve with the factor's own values, to a relative residual of `rtol` or less; returns x (3n,)."""
         return self.solve(pattern, factor, None, rhs, rtol).x
 
     def solve_once(
         self, pattern: Pattern, start: Factor, values: Array, rhs: Array, rtol: Array | float
     ) -> Array:
-        """Solution (3n,) for `values` that are prepared for it alone; `start` stays as it is."""
+        """Factor `values` for one solution (3n,) only; `start` does not change."""
         return self.solve_factored(pattern, self.factor(pattern, values, start), rhs, rtol)
 
     def release(self, factor: Factor, after: Array) -> None:
-        """Give back what the factor holds outside the arrays, once `after` is known."""
+        """Free memory that the factor holds outside JAX arrays, after `after` is computed."""
 
 
 def identity_values(pattern: Pattern) -> Array:
-    """Values of the identity matrix."""
+    """Return the values (size,) of the identity matrix."""
     return jnp.zeros(pattern.size).at[pattern.diagonal].set(1.0)

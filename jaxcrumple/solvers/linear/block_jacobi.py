@@ -13,15 +13,15 @@ from jaxcrumple.solvers.linear.cg import conjugate_gradients
 
 
 class BlockCG(AbstractLinearSolver):
-    """Preconditioned conjugate gradients that stop at negative curvature.
+    """Solve by preconditioned conjugate gradients, which stop at negative curvature.
 
-    Nodes are numbered along a Hilbert curve, so consecutive unknowns are neighbours in the sheet and
-    dense diagonal blocks capture most of the matrix (Fig. 4).
+    The node numbers follow a Hilbert curve. Consecutive unknowns are therefore neighbours in the sheet, and
+    dense diagonal blocks contain most of the matrix (Fig. 4).
 
     **Arguments:**
 
     - `block_size`: unknowns per dense block.
-    - `max_iterations`: after which the last iterate is returned.
+    - `max_iterations`: largest number of iterations; the solver then returns the last iterate.
     """
 
     exact: ClassVar[bool] = False
@@ -29,19 +29,20 @@ class BlockCG(AbstractLinearSolver):
     max_iterations: int = 20000
 
     def start(self, pattern: Pattern) -> Factor:
-        """Blocks of the identity."""
+        """Return the blocks of the identity."""
         return Factor(identity_values(pattern), unit_blocks(pattern, self.block_size), jnp.asarray(0))
 
     def factor(self, pattern: Pattern, values: Array, previous: Factor) -> Factor:
-        """Invert the diagonal blocks of the sheet's own part; where one is not positive definite, the matrix
-        is taken for indefinite."""
+        """Invert the diagonal blocks of the sheet's part of the matrix.
+
+        If a block is not positive definite, the matrix counts as indefinite."""
         lower, sound = block_factors(pattern, pattern.separate(values), self.block_size)
         return Factor(values, _inverses(lower), jnp.where(sound, -1, 1))
 
     def solve(
         self, pattern: Pattern, factor: Factor, values: Array | None, rhs: Array, rtol: Array | float
     ) -> Solution:
-        """Conjugate gradients; `indefinite` is set when a direction of negative curvature appears."""
+        """Solve by conjugate gradients; a direction of negative curvature sets `indefinite`."""
         values = factor.values if values is None else values
         rows = pattern.expand(values)
         return conjugate_gradients(
@@ -55,23 +56,23 @@ class BlockCG(AbstractLinearSolver):
 
 
 def unit_blocks(pattern: Pattern, size: int, dtype: Any = float) -> Array:
-    """Diagonal blocks (b, size, size) of the identity."""
+    """Return the diagonal blocks (b, size, size) of the identity."""
     count = -(-pattern.diagonal.shape[0] // size)
     return jnp.broadcast_to(jnp.eye(size, dtype=dtype), (count, size, size))
 
 
 def block_factors(pattern: Pattern, values: Array, size: int) -> tuple[Array, Array]:
-    """Cholesky factors (b, size, size) of the dense diagonal blocks of a sheet's own `values` (nnz,), and
-    whether all are positive definite.
+    """Compute Cholesky factors (b, size, size) of the dense diagonal blocks of a sheet's `values` (nnz,).
 
-    The last block is filled up with the identity; where one is not definite all factors are the identity.
+    Returns the factors, and whether all blocks are positive definite. The identity fills the last block. If
+    a block is not definite, all factors are the identity.
     """
     total = pattern.diagonal.shape[0]
     count = -(-total // size)
     row, col = pattern.rows, pattern.indices
     block = row // size
     inside = block == col // size
-    # Entries outside the blocks are sent out of bounds and dropped.
+    # Entries outside the blocks get an index out of bounds, and are dropped.
     flat = jnp.where(inside, (block * size + row % size) * size + col % size, count * size * size)
     upper = jnp.zeros(count * size * size, values.dtype).at[flat].set(values, mode="drop")
     upper = upper.reshape(count, size, size)
@@ -88,11 +89,11 @@ def _inverses(lower: Array) -> Array:
 
 
 def apply_blocks(blocks: Array, r: Array) -> Array:
-    """Block-diagonal matrix (b, m, m) times a vector, padded to fill the last block."""
+    """Multiply a block-diagonal matrix (b, m, m) by a vector, which is padded to fill the last block."""
     count, size, _ = blocks.shape
     return jnp.einsum("bij,bj->bi", blocks, pad_blocks(r, count, size)).reshape(-1)[: r.shape[0]]
 
 
 def pad_blocks(r: Array, count: int, size: int) -> Array:
-    """Vector as rows (count, size), zeros at the end."""
+    """Reshape a vector to rows (count, size), padded with zeros."""
     return jnp.zeros(count * size, r.dtype).at[: r.shape[0]].set(r).reshape(count, size)

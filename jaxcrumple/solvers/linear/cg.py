@@ -1,4 +1,4 @@
-"""Preconditioned conjugate gradients: the one Krylov loop of all linear solvers."""
+"""Preconditioned conjugate gradients, the Krylov loop of all linear solvers."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -29,10 +29,10 @@ def conjugate_gradients(
 ) -> Solution:
     """Solve A x = `rhs` (m,) until $\\|r\\|_2 \\le$ `rtol` $\\|b\\|_2$ (Saad, Iterative Methods, alg. 9.1).
 
-    `precondition` is applied once per iteration and not at all after the last: an exact one costs one
-    application and one product. A right-hand side that is not finite gives NaN. At a direction without
-    positive curvature the iteration stops and the matrix is called indefinite; where the `factor` has
-    negative eigenvalues it never starts, and x = 0.
+    Each iteration applies `precondition` once; it is not applied after the last iteration. An exact
+    preconditioner therefore costs one application and one product. A right-hand side that is not finite gives
+    NaN. The iteration stops at a direction without positive curvature, and reports an indefinite matrix. If
+    `factor` has negative eigenvalues it does not start, and returns x = 0.
     """
     known = factor.negative > 0
     rhs = jnp.where(known, 0.0, rhs)
@@ -55,6 +55,6 @@ def conjugate_gradients(
     zero = jnp.zeros_like(rhs)
     init = _Carry(zero, rhs, zero, jnp.ones((), rhs.dtype), jnp.asarray(True), jnp.asarray(0))
     end = jax.lax.while_loop(unfinished, body, init)
-    # The loop never starts on a right-hand side that is not finite: say so instead of zero.
+    # The loop does not start with a right-hand side that is not finite: return NaN instead of zero.
     x = jnp.where(jnp.isfinite(goal), end.x, jnp.nan)
     return Solution(x, end.iterations, ~end.positive | known)

@@ -1,4 +1,4 @@
-"""Sparse direct solver: $L D L^T$ by oneMKL PARDISO inside jit, with the inertia of the matrix."""
+"""Sparse direct solver: $L D L^T$ factorisation by oneMKL PARDISO inside jit, with the matrix inertia."""
 
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
@@ -12,26 +12,26 @@ from jaxcrumple.assembly.sparsity import Pattern
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor, Solution, identity_values
 from jaxcrumple.solvers.linear.cg import conjugate_gradients
 
-# Rounds of iterative refinement of a solution that nobody checks by conjugate gradients.
+# Rounds of iterative refinement of a solution that conjugate gradients do not check.
 REFINEMENTS = 2
 
 
 class _Workspace(NamedTuple):
-    """The library's handle of a factor, and the matrix it is of."""
+    """Hold the library's handle of a factor, and the values of its matrix."""
 
     token: Array
     matrix: Array
 
 
 class Direct(AbstractLinearSolver):
-    """One symbolic analysis per program call, one numeric factor per tangent, many solves.
+    """Solve with one symbolic analysis per program call, one numeric factor per tangent, and many solves.
 
-    The symmetric indefinite mode is used even where a positive definite matrix is expected: it never
-    raises out of the program, and the number of negative eigenvalues it reports is an exact test of
-    the equilibrium's stability. A factor that fell out of the library's cache is rebuilt silently.
+    The solver always uses the symmetric indefinite mode. This mode raises no exception inside the program,
+    and its number of negative eigenvalues is an exact test of the equilibrium's stability. The library
+    rebuilds a factor that is no longer in its cache.
 
-    Many right-hand sides may be batched by `vmap`, and are solved at once; matrices cannot, for a factor
-    lives outside the arrays. Use `TwoLevel` there.
+    `vmap` may batch right-hand sides, which are solved together. It cannot batch matrices, because a factor
+    is stored outside the JAX arrays; use `TwoLevel` for these.
 
     **Arguments:** `max_iterations`: conjugate gradient iterations with a factor of other values.
     """
@@ -50,7 +50,7 @@ class Direct(AbstractLinearSolver):
         return Factor(values, _Workspace(token, matrix), jnp.asarray(0))
 
     def factor(self, pattern: Pattern, values: Array, previous: Factor) -> Factor:
-        """Factor new values; values that are not finite are replaced by the identity and reported."""
+        """Factor new values. If one is not finite, factor the identity and report an indefinite matrix."""
         from pardiso_mkl_jax import primitive
 
         values = _unbatched(values)
@@ -65,7 +65,7 @@ class Direct(AbstractLinearSolver):
     def solve(
         self, pattern: Pattern, factor: Factor, values: Array | None, rhs: Array, rtol: Array | float
     ) -> Solution:
-        """One back substitution for the factor's own values; for others conjugate gradients with it."""
+        """Solve by one substitution with the factor's own values, or by conjugate gradients with others."""
         if values is None:
             return Solution(_substitute(pattern, factor, rhs), jnp.asarray(1), factor.negative > 0)
         return conjugate_gradients(
@@ -78,7 +78,7 @@ class Direct(AbstractLinearSolver):
         )
 
     def solve_factored(self, pattern: Pattern, factor: Factor, rhs: Array, rtol: Array | float) -> Array:
-        """Solution (3n,) for the factor's own values, definite or not, refined to rounding."""
+        """Solve with the factor's own values, definite or not, and refine x (3n,) to rounding."""
         x = jnp.zeros_like(rhs)
         for _ in range(REFINEMENTS + 1):
             x = x + _substitute(pattern, factor, rhs - pattern.product(factor.values, x))
@@ -87,7 +87,7 @@ class Direct(AbstractLinearSolver):
     def solve_once(
         self, pattern: Pattern, start: Factor, values: Array, rhs: Array, rtol: Array | float
     ) -> Array:
-        """Factor and solution in one call, refined to rounding, with the analysis of `start`."""
+        """Factor and solve in one library call with the analysis of `start`; refine x (3n,) to rounding."""
         from pardiso_mkl_jax import primitive
 
         values = _unbatched(values)
@@ -101,14 +101,14 @@ class Direct(AbstractLinearSolver):
         )
 
     def release(self, factor: Factor, after: Array) -> None:
-        """Free the factor; the library would keep those of the last calls."""
+        """Free the factor, because the library keeps the factors of the last calls."""
         from pardiso_mkl_jax import primitive
 
         primitive.release(factor.workspace.token, after.astype(float))
 
 
 def _substitute(pattern: Pattern, factor: Factor, rhs: Array) -> Array:
-    """Forward and back substitution."""
+    """Solve by forward and back substitution."""
     from pardiso_mkl_jax import primitive
 
     token, matrix = factor.workspace
@@ -118,7 +118,7 @@ def _substitute(pattern: Pattern, factor: Factor, rhs: Array) -> Array:
 def _batched(
     routine: Callable, token: Any, indptr: Array, indices: Array, matrix: Array, rhs: Array, **options
 ) -> Array:
-    """What a routine of the library finds for one right-hand side, or under `vmap` for many at once."""
+    """Call a routine of the library for one right-hand side, or under `vmap` for all of them together."""
 
     def found(token: Any, indptr: Array, indices: Array, matrix: Array, rhs: Array) -> Array:
         return routine(token, indptr, indices, matrix, _unbatched(rhs), **_mode(**options))[0]
@@ -140,20 +140,20 @@ def _batched(
 
 
 def _structure(pattern: Pattern) -> tuple[Array, Array]:
-    """Row pointers and column indices of the upper triangle, contact included."""
+    """Return row pointers and column indices of the upper triangle, contact included."""
     if pattern.contact is None:
         return pattern.indptr, pattern.indices
     merged = pattern.contact.merged
     if merged is None:
         raise ValueError(
-            "the direct solver needs the lists of contact: scene = jaxcrumple.with_contacts(scene, x) makes "
-            "them."
+            "the direct solver needs the contact lists; build them by scene = "
+            "jaxcrumple.with_contacts(scene, x)."
         )
     return merged.indptr, merged.indices
 
 
 def _matrix(pattern: Pattern, values: Array) -> tuple[Array, Array, Array]:
-    """Row pointers, column indices and values of the upper triangle, contact included."""
+    """Return row pointers, column indices and values of the upper triangle, contact included."""
     indptr, indices = _structure(pattern)
     if pattern.contact is None:
         return indptr, indices, values
@@ -162,23 +162,23 @@ def _matrix(pattern: Pattern, values: Array) -> tuple[Array, Array, Array]:
 
 @jax.custom_batching.custom_vmap
 def _unbatched(array: Array) -> Array:
-    """The array itself, outside of `vmap`."""
+    """Return the array, and raise ValueError under `vmap`."""
     return array
 
 
 @_unbatched.def_vmap
 def _refuse(axis_size: int, in_batched, array: Array):
     raise ValueError(
-        f"the direct solver cannot be batched by vmap (here over {axis_size} lanes): its factors live "
-        "outside the arrays. Choose linear='two-level'."
+        f"the direct solver cannot be batched by vmap (here over {axis_size} lanes): its factors are stored "
+        "outside the JAX arrays. Choose linear='two-level'."
     )
 
 
 def _mode(refinements: int = 0) -> dict[str, Any]:
-    """Kind of matrix and options of all calls.
+    """Return the matrix type and the options of all calls.
 
-    Pivots are single numbers, which the matrices of a stable sheet need no more than; and what refinement a
-    solution needs is done by who asks for it. Both together save a third of the time.
+    Pivots are 1x1, which suffices for the matrices of a stable sheet. The callers refine a solution if it
+    needs refinement. Both choices together save a third of the time.
     """
     from pardiso_mkl_jax import MatrixType, PardisoOption
 

@@ -1,4 +1,4 @@
-"""Which linear solver to use, by name, by device and by what is installed."""
+"""Choice of a linear solver by name, device and installed packages."""
 
 import importlib.util
 
@@ -13,16 +13,16 @@ LINEAR_SOLVERS = ("auto", "direct", "two-level", "block-cg")
 
 
 def direct_available() -> bool:
-    """Whether the sparse direct solver's extra is installed and the default device is a CPU."""
+    """Return whether the extra `direct` is installed and the default device is a CPU."""
     return importlib.util.find_spec("pardiso_mkl_jax") is not None and jax.default_backend() == "cpu"
 
 
 def choose_linear_solver(name: str | AbstractLinearSolver) -> AbstractLinearSolver:
-    """Linear solver by name; one that is a solver already is returned as it is.
+    """Return the linear solver of a name, or a given solver unchanged.
 
     **Arguments:** `name`: "direct" (sparse factor with inertia; needs the extra `direct` and a CPU),
-    "two-level" (pure JAX, any device), "block-cg" (the paper's), or "auto": direct where it runs,
-    else two-level.
+    "two-level" (pure JAX, any device), "block-cg" (the paper's), or "auto": direct if available, else
+    two-level.
 
     **Raises:** ValueError for an unknown name or a missing extra.
     """
@@ -33,7 +33,7 @@ def choose_linear_solver(name: str | AbstractLinearSolver) -> AbstractLinearSolv
     if name == "direct" and not direct_available():
         raise ValueError(
             "the direct solver needs the extra, pip install 'jaxcrumple[direct]' (x86-64 Linux, Python up to "
-            "3.13), and a CPU as JAX's default device; or choose linear solver two-level."
+            "3.13), and a CPU as JAX's default device; or choose the linear solver 'two-level'."
         )
     if name == "block-cg":
         return BlockCG()

@@ -1,4 +1,4 @@
-"""`linear_solve`: any of the linear solvers as a differentiable function."""
+"""`linear_solve`: each linear solver as a differentiable function."""
 
 from collections.abc import Callable
 
@@ -13,7 +13,7 @@ from jaxcrumple.assembly.sparsity import Pattern
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
 from jaxcrumple.solvers.linear.registry import choose_linear_solver
 
-# Factor by which a residual may exceed what was asked for and rounding together.
+# A residual may exceed the sum of its tolerance and the rounding error by this factor.
 SLACK = 10.0
 
 
@@ -25,16 +25,16 @@ def linear_solve(
     rhs: ArrayLike,
     rtol: float = 1e-10,
 ) -> Array:
-    """Solution (3n,) of A x = `rhs`, differentiable with respect to `values` (size,) and `rhs`.
+    """Solve A x = `rhs` for x (3n,), differentiable with respect to `values` (size,) and `rhs`.
 
-    The derivatives, forward and reverse, follow from the implicit function theorem, dA x + A dx = db,
-    and are solved with the same factor to the same `rtol`. A sheet about to buckle has an indefinite matrix:
-    the direct solver solves that too, the others only definite ones. Where the residual stays above `rtol`
-    and above what rounding explains, the solution is NaN.
+    The derivatives, forward and reverse, follow from the implicit function theorem, dA x + A dx = db. They
+    use the same factor and the same `rtol`. A sheet about to buckle has an indefinite matrix. The direct
+    solver solves it too, the other solvers solve definite matrices only. The solution is NaN if the residual
+    exceeds both `rtol` and the rounding error.
 
-    **Arguments:** `solver`: its name ("auto", "direct", "two-level", "block-cg") or itself; `pattern`: that
-    of a scene; `values` (size,) of the upper triangle in N/m, as `elastic_tangent` returns them; `rhs` (3n,)
-    in N.
+    **Arguments:** `solver`: a solver or its name ("auto", "direct", "two-level", "block-cg"); `pattern`: the
+    pattern of a scene; `values` (size,): upper triangle of A in N/m, as `elastic_tangent` returns it; `rhs`
+    (3n,) in N; `rtol`: relative residual.
 
     **Raises:** ValueError for an unknown solver, or arrays that do not fit the pattern.
     """
@@ -58,7 +58,7 @@ def linear_solve(
 def solve_once(
     solver: AbstractLinearSolver, pattern: Pattern, start: Factor, values: Array, rhs: Array, rtol: float
 ) -> Array:
-    """The same where no other system has these `values`; `start` may serve many such solutions."""
+    """Solve like `linear_solve`, with a factor for one system only; `start` may serve many calls."""
 
     def solve(b: Array) -> Array:
         return solver.solve_once(pattern, start, jax.lax.stop_gradient(values), b, rtol)
@@ -69,7 +69,7 @@ def solve_once(
 def _solved(
     solve: Callable[[Array], Array], pattern: Pattern, values: Array, rhs: Array, rtol: float
 ) -> Array:
-    """What `solve` finds, differentiable; NaN where the residual is not what was asked for."""
+    """Make the solution of `solve` differentiable; it is NaN if the residual exceeds the tolerance."""
 
     def checked(_, b: Array) -> Array:
         x, own = solve(b), jax.lax.stop_gradient(values)

@@ -1,10 +1,11 @@
-"""Two-level conjugate gradients in pure JAX: dense blocks and a smooth coarse space, additively.
+"""Two-level conjugate gradients in pure JAX: an additive preconditioner of dense blocks and a coarse space.
 
-Blocks cannot move the long-wave bending modes of a sheet; a coarse space of splines on the reference
-sheet can, and goes on doing so when the sheet is crumpled (additive Schwarz: Toselli & Widlund, Domain
-Decomposition Methods, 2005). The coarse matrix is built and factored in float64, because stretching and
-bending differ by many orders of magnitude in it. Both levels are applied in float32 as $L^{-T} L^{-1}$, which
-is positive definite whatever the rounding; a rounded inverse is not, and would look like an indefinite A.
+Blocks do not reduce errors in the long-wave bending modes of a sheet. A coarse space of splines on the
+reference sheet does, also when the sheet is crumpled (additive Schwarz: Toselli & Widlund, Domain
+Decomposition Methods, 2005). The coarse matrix is computed and factored in float64, because it contains
+stretching and bending, which differ by many orders of magnitude. Both levels are applied in float32 as
+$L^{-T} L^{-1}$, which is positive definite for any rounding error. A rounded inverse is not, and would make A
+appear indefinite.
 """
 
 from typing import ClassVar, NamedTuple
@@ -20,26 +21,26 @@ from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor, Solutio
 from jaxcrumple.solvers.linear.block_jacobi import block_factors, pad_blocks, unit_blocks
 from jaxcrumple.solvers.linear.cg import conjugate_gradients
 
-# Cells of the coarse grid whose rows are multiplied at once: their arrays stay in the cache.
+# Cells of the coarse grid whose rows are multiplied together, so that their arrays stay in the cache.
 BATCH = 8
-# Shift of the scaled coarse matrix: functions that hardly reach the sheet are nearly dependent.
+# Shift of the scaled coarse matrix, because functions that hardly overlap the sheet are nearly dependent.
 SHIFT = 1e-10
 
 
 class _Levels(NamedTuple):
-    """Inverse Cholesky factors of the blocks (b, m, m) and of the coarse matrix, in float32."""
+    """Hold inverse Cholesky factors of the blocks (b, m, m) and of the coarse matrix, in float32."""
 
     blocks: Array
     coarse: Array
 
 
 class TwoLevel(AbstractLinearSolver):
-    """Conjugate gradients with a two-level preconditioner.
+    """Solve by conjugate gradients with a two-level preconditioner.
 
     **Arguments:**
 
     - `block_size`: unknowns per dense block of the Hilbert ordering.
-    - `max_iterations`: after which the last iterate is returned.
+    - `max_iterations`: largest number of iterations; the solver then returns the last iterate.
     """
 
     exact: ClassVar[bool] = False
@@ -47,19 +48,20 @@ class TwoLevel(AbstractLinearSolver):
     max_iterations: int = 5000
 
     def start(self, pattern: Pattern) -> Factor:
-        """Levels of the identity."""
+        """Return both levels for the identity matrix."""
         blocks = unit_blocks(pattern, self.block_size, jnp.float32)
         coarse = jnp.eye(3 * pattern.coarse.size, dtype=jnp.float32)
         return Factor(identity_values(pattern), _Levels(blocks, coarse), jnp.asarray(0))
 
     def factor(self, pattern: Pattern, values: Array, previous: Factor) -> Factor:
-        """Invert blocks and coarse matrix of the sheet's own part; where one is not positive definite, A is
-        taken for indefinite."""
+        """Factor the blocks and the coarse matrix of the sheet's part of A.
+
+        If one is not positive definite, A counts as indefinite."""
         own = pattern.separate(values)
         lower, sound = block_factors(pattern, own, self.block_size)
         blocks = jax.vmap(_inverse_lower)(lower)
-        # One after the other, by their data: two batches of LAPACK calls at once (under `vmap`) would hang a
-        # machine of two threads, see `solvers/stability.py`.
+        # This data dependence runs the two batches of LAPACK calls one after the other. Under `vmap`, two
+        # simultaneous batches would hang a machine of two threads, see `solvers/explicit/stability.py`.
         sound = sound & jnp.all(jnp.isfinite(blocks))
         matrix = coarse_matrix(pattern, own)
         coarse, definite = _coarse_factor(jnp.where(sound, matrix, jnp.eye(matrix.shape[0])))
@@ -69,17 +71,17 @@ class TwoLevel(AbstractLinearSolver):
     def solve(
         self, pattern: Pattern, factor: Factor, values: Array | None, rhs: Array, rtol: Array | float
     ) -> Solution:
-        """Conjugate gradients; `indefinite` is set when a direction of negative curvature appears."""
+        """Solve by conjugate gradients; a direction of negative curvature sets `indefinite`."""
         values = factor.values if values is None else values
         rows = pattern.expand(values)
         levels, space = factor.workspace, pattern.coarse
         weights = _cell_weights(space).astype(jnp.float32)
 
         def precondition(r: Array) -> Array:
-            # Residuals span many orders of magnitude; float32 sees them relative to their size.
+            # Residuals span many orders of magnitude, so normalise them before the cast to float32.
             size = jnp.maximum(jnp.max(jnp.abs(r)), jnp.finfo(r.dtype).tiny)
             scaled = (r / size).astype(jnp.float32)
-            # A row vector times the matrix: XLA on CPU would copy the transpose in every iteration.
+            # Row vector times matrix, because XLA on CPU would copy the transpose in every iteration.
             smooth = (levels.coarse @ _restrict(space, weights, scaled)) @ levels.coarse
             both = _solve_blocks(levels.blocks, scaled) + _prolong(space, weights, smooth)
             return size * both.astype(r.dtype)
@@ -99,41 +101,40 @@ def _inverse_lower(lower: Array) -> Array:
 
 
 def _solve_blocks(inverse: Array, r: Array) -> Array:
-    """$L^{-T} L^{-1}$ r for the inverse factors (b, m, m) of the diagonal blocks."""
+    """Compute $L^{-T} L^{-1}$ r with the inverse factors (b, m, m) of the diagonal blocks."""
     count, size, _ = inverse.shape
     half = jnp.einsum("bij,bj->bi", inverse, pad_blocks(r, count, size))
     return jnp.einsum("bji,bj->bi", inverse, half).reshape(-1)[: r.shape[0]]
 
 
 def _cell_weights(space: CoarseSpace) -> Array:
-    """Weights (c, 16, k) of the members of each cell, 0 where there is none."""
+    """Return the weights (c, 16, k) of the members of each cell, padded with 0."""
     weights = space.weights
     product = (weights[:, 0, :, None] * weights[:, 1, None, :]).reshape(-1, SUPPORT**2)
     return jnp.swapaxes(product.at[space.members].get(mode="fill", fill_value=0.0), 1, 2)
 
 
 def _restrict(space: CoarseSpace, weights: Array, r: Array) -> Array:
-    """Coarse components (3 size,) of a fine vector (3n,): Z^T r."""
+    """Compute the coarse components (3 size,) of a fine vector (3n,): Z^T r."""
     fine = r.reshape(-1, 3).T.at[:, space.members].get(mode="fill", fill_value=0.0)
-    # A sum of products along the last axis: XLA on CPU runs it three times faster than the einsum.
+    # A sum of products along the last axis, which XLA on CPU runs three times faster than the einsum.
     local = jnp.sum(weights[:, :, None] * jnp.swapaxes(fine, 0, 1)[:, None], axis=-1)
     return jnp.zeros((space.size, 3), r.dtype).at[space.functions].add(local, mode="drop").reshape(-1)
 
 
 def _prolong(space: CoarseSpace, weights: Array, y: Array) -> Array:
-    """Fine vector (3n,) of coarse components (3 size,): Z y."""
+    """Compute the fine vector (3n,) of coarse components (3 size,): Z y."""
     local = y.reshape(-1, 3).at[space.functions].get(mode="fill", fill_value=0.0)
-    # Like the restriction, faster on CPU than the einsum.
+    # As in the restriction, faster on CPU than the einsum.
     fine = jnp.sum(weights[..., None] * local[:, :, None], axis=1)
     return fine.reshape(-1, 3)[space.place].reshape(-1)
 
 
 def coarse_matrix(pattern: Pattern, values: Array) -> Array:
-    """Galerkin matrix Z^T A Z (3 size, 3 size) of a sheet's own `values` (nnz,), cell by cell from the rows
-    of A.
+    """Compute the Galerkin matrix Z^T A Z (3 size, 3 size) of a sheet's `values` (nnz,), cell by cell.
 
-    A row of A times Z meets a window of functions only, whose weights are products of two directions;
-    so a cell costs a few small dense products, whatever the mesh.
+    A row of A times Z involves a window of functions only, whose weights are products of two directions. A
+    cell therefore costs a few small dense products for any mesh.
     """
     space = pattern.coarse
     rows = pattern.expand(values).reshape(*pattern.neighbors.shape[:1], 3, -1, 3)
@@ -158,17 +159,17 @@ def coarse_matrix(pattern: Pattern, values: Array) -> Array:
 
 
 def _window_weights(weights: Array, offset: Array) -> Array:
-    """Weights (..., 6) of functions -1 ... 4 of a cell, for nodes `offset` (-1, 0, 1) cells away."""
+    """Return weights (..., 6) of functions -1 ... 4 of a cell at nodes `offset` (-1, 0, 1) cells away."""
     index = jnp.arange(WINDOW) - 1 - offset[..., None]
     inside = (index >= 0) & (index < SUPPORT)
     return jnp.where(inside, jnp.take_along_axis(weights, jnp.clip(index, 0, SUPPORT - 1), axis=-1), 0.0)
 
 
 def _coarse_factor(matrix: Array) -> tuple[Array, Array]:
-    """Inverse of the Cholesky factor of the coarse matrix, and whether it is positive definite."""
+    """Return the inverse Cholesky factor of the coarse matrix, and whether it is positive definite."""
     size = matrix.shape[0]
     diagonal = jnp.diag(matrix)
-    # A function that reaches no node has an empty row.
+    # A function without nodes in its support has an empty row.
     scale = jnp.where(diagonal > 0, 1.0 / jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 0.0)
     scaled = scale[:, None] * matrix * scale[None] + jnp.diag(jnp.where(scale > 0, SHIFT, 1.0))
     lower = jnp.linalg.cholesky(0.5 * (scaled + scaled.T))
