@@ -144,7 +144,7 @@ def test_more_pairs_of_triangles_than_fit_are_refused(memory_of):
     memory_of(4e4)
     faces = len(MESH.faces)
     pairs = re.escape(f"{faces * (faces - 1) / 2:.2g}")
-    with pytest.raises(ValueError, match=rf"search for {pairs} pairs of .*; choose a smaller"):
+    with pytest.raises(ValueError, match=rf"with {pairs} candidate pairs of .*; choose a smaller"):
         require_candidates(MESH, 1.0)
     memory_of(2e3)
     with pytest.raises(ValueError, match=r"give triangles of more equal size"):
