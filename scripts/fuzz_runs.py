@@ -268,7 +268,8 @@ def file_operations(before: Callable[[str], None]) -> Iterator[None]:
 
     def around(name: str, operation: Callable) -> Any:
         def call(*arguments: Any, **options: Any) -> Any:
-            before(name)
+            if not _of_compiled_programs(arguments[0]):
+                before(name)
             return operation(*arguments, **options)
 
         return call
@@ -288,6 +289,12 @@ def file_operations(before: Callable[[str], None]) -> Iterator[None]:
         stack.enter_context(mock.patch.object(Table, "_write", half_appended))
         stack.enter_context(mock.patch.object(sys.modules["jaxcrumple.simulate"], "CHUNK", 0.0))
         yield
+
+
+def _of_compiled_programs(file: Any) -> bool:
+    """Whether a path lies in the folder of compiled programs, which JAX locks: no file of a run."""
+    folder = jax.config.jax_compilation_cache_dir
+    return bool(folder) and isinstance(file, str | Path) and Path(file).is_relative_to(folder)
 
 
 def count_operations(action: Callable[[], Any]) -> int:
