@@ -205,7 +205,7 @@ def test_fingerprint(tmp_path, state):
     save_checkpoint(path, state, fingerprint={"mesh": "abc", "rtol": 1e-4})
     load_checkpoint(path, state)
     load_checkpoint(path, state, fingerprint={"mesh": "abc", "rtol": np.float64(1e-4)})
-    with pytest.raises(CheckpointError, match=r"made with rtol = 0\.0001, this run has 0\.001"):
+    with pytest.raises(CheckpointError, match=r"written with rtol = 0\.0001, this run has 0\.001"):
         load_checkpoint(path, state, fingerprint={"mesh": "abc", "rtol": 1e-3})
 
 

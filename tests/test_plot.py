@@ -7,10 +7,11 @@ import pandas as pd
 import pytest
 from pictures import colors
 
-from jaxcrumple import Material, plot
+from jaxcrumple import Material
 from jaxcrumple.io import RunDirectory, RunDirectoryError
 from jaxcrumple.measure import hinge_curvature
 from jaxcrumple.mesh.generate import rectangle
+from jaxcrumple.plot import plot
 from jaxcrumple.solvers.log import AFTER, BEFORE, STEP, Row
 
 
