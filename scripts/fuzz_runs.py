@@ -233,6 +233,12 @@ def _gone_on(folder: Path, whole: Reference, what: str, action: Callable[[], Any
     return f"{what}: {outcome}", found if outcome == "fault" else ""
 
 
+def report(found: list[str], fault: str) -> None:
+    """Print a fault at once and add it to those `found`."""
+    print(fault, flush=True)
+    found.append(fault)
+
+
 def try_damages(references: dict[str, Reference], count: int, seed: int, place: Path) -> list[str]:
     """Damage folders `count` times; the faults in words."""
     rng, outcomes, found = np.random.default_rng(seed), Counter(), []
@@ -249,8 +255,7 @@ def try_damages(references: dict[str, Reference], count: int, seed: int, place: 
                 for outcome, fault in faults(folder, whole, base):
                     outcomes[outcome] += 1
                     if fault:
-                        found.append(f"{name}, {base.name}, {done}: {outcome}: {fault}")
-                        print(found[-1], flush=True)
+                        report(found, f"{name}, {base.name}, {done}: {outcome}: {fault}")
         finally:
             shutil.rmtree(folder)
     for outcome, number in sorted(outcomes.items()):
@@ -349,11 +354,9 @@ def try_kills(references: dict[str, Reference], count: int, seed: int, place: Pa
             if action is not None and not _finished(folder):
                 action()
             if not same_end(folder, whole.finished):
-                found.append(f"{name} killed at {at}: ends otherwise")
-                print(found[-1], flush=True)
+                report(found, f"{name} killed at {at}: ends otherwise")
         except Exception as error:
-            found.append(f"{name} killed at {at}: {type(error).__name__}: {error}")
-            print(found[-1], flush=True)
+            report(found, f"{name} killed at {at}: {type(error).__name__}: {error}")
         finally:
             shutil.rmtree(folder, ignore_errors=True)
     print(f"  {kills} kills")

@@ -335,7 +335,7 @@ def verify(folder: Annotated[Path, typer.Argument(help="Folder of a run, or of s
         for cause in wrong.values():
             say(f"  {cause}")
         if wrong:
-            say(f"  return to the last undamaged checkpoint: jaxcrumple repair {place}")
+            say(f"  return to the last undamaged checkpoint: {_command('repair', place)}")
     if any(found.values()):
         raise typer.Exit(1)
 
@@ -351,11 +351,11 @@ def repair(folder: Annotated[Path, typer.Argument(help="Folder of a run.")]) -> 
         say(f"{folder} is sound; nothing was changed")
         return
     run = RunDirectory.open(folder)
-    counts, scene = run.counts, run.config["scene"]
+    counts, go_on = run.counts, _resume_command(run.config["scene"], folder, {}, None)
     say(f"{counts.frames} frames and {counts.history_rows} rows of history are left")
     if pictures := sorted(path.name for path in folder.glob("*.png")):
         say(f"pictures from before the repair: {', '.join(pictures)}")
-    say(f"{folder} is at t = {t:.4g} s again; go on with: jaxcrumple run {scene} --resume --out {folder}")
+    say(f"{folder} is at t = {t:.4g} s again; go on with: {go_on}")
 
 
 def _plot(folder: Path) -> list[Path]:
