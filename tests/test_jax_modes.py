@@ -103,7 +103,9 @@ def test_gradients_are_the_same_in_strict_modes(contact):
     np.testing.assert_allclose(found, -force, atol=1e-12 * float(jnp.max(jnp.abs(force))))
 
 
-@pytest.mark.parametrize("scheme", ["hybrid", "alternating", "explicit", "paper"])
+@pytest.mark.parametrize(
+    "scheme", ["hybrid", pytest.param("alternating", marks=pytest.mark.slow), "explicit", "paper"]
+)
 def test_a_phantom_step_is_traced_in_strict_modes(scheme):
     scene, state = plain(None)
     with strict():

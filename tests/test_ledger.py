@@ -28,7 +28,7 @@ def test_a_sheet_carried_at_constant_speed_costs_its_drag():
     everywhere = np.ones((mesh.n_nodes, 3), bool)
     scene = jc.sheet(mesh, material, prescribed=held(everywhere, mesh.vertices, velocity))
     start = np.tile(velocity, (mesh.n_nodes, 1))
-    work, gained, _ = ledger(scene, mesh.vertices, time, start)
+    work, gained, _ = ledger(scene, mesh.vertices, time, start, scheme="dynamic")
     spent = rate * float(jnp.sum(scene.mass)) * (velocity @ velocity) * time
     assert work["supports"] == pytest.approx(spent, rel=1e-9)
     assert work["drag"] == pytest.approx(-spent, rel=1e-9)
@@ -81,5 +81,6 @@ def test_energy_without_a_cause_is_numerical(rho):
 
 def test_a_state_without_a_ledger_keeps_none():
     setup = jc.arch(60)
-    solution = jc.simulate(setup.scene, jc.initial_state(setup.scene, setup.x), 1e-3)
+    state, solver = jc.initial_state(setup.scene, setup.x), jc.integrator(scheme="dynamic")
+    solution = jc.simulate(setup.scene, state, 1e-3, solver=solver)
     assert solution.state.work is None and not solution.history["work_drag"].any()

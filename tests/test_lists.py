@@ -67,6 +67,7 @@ def test_a_run_cut_anywhere_goes_on_to_the_same_bits(monkeypatch, scheme, speed)
                 assert np.asarray(a).tobytes() == np.asarray(b).tobytes(), (cut, name)
 
 
+@pytest.mark.slow
 def test_a_list_of_sites_holds_for_several_implicit_steps():
     """To make one takes as long as a step or two."""
     (scene, state), solver = moving_layers(0.3), jc.integrator(scheme="dynamic")
@@ -166,7 +167,7 @@ def test_what_is_only_near_a_long_step_makes_it_short_and_needs_no_room(room):
     assert shares[0] == 1.0 and shares[-1] == pytest.approx(1.0 / 6.0, rel=1e-6)
 
 
-@pytest.mark.parametrize("short", range(4))
+@pytest.mark.parametrize("short", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 4))])
 def test_a_list_that_is_too_short_is_the_one_that_grows(short):
     """Pairs of triangles near, sites there, pairs of sites, and pairs of triangles that may meet."""
     scene, state = pressed_layers()

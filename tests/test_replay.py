@@ -219,7 +219,7 @@ def has(scene, leaf):
 
 def plateau(value, scene, leaves):
     """Central difference of fourth order by a common factor, of two steps the smaller one that agree best."""
-    found = np.array([difference(value, scene, leaves, 10.0**-k) for k in range(3, 8)])
+    found = np.array([difference(value, scene, leaves, 10.0**-k) for k in range(4, 7)])
     with np.errstate(invalid="ignore"):
         return found[1 + np.nanargmin(np.abs(np.diff(found)))]
 
