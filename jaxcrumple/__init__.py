@@ -7,7 +7,7 @@ from jaxcrumple.cli import entry
 entry.prepare()
 
 from jaxcrumple.calibrate import Experiment, Fit, Parameter, calibrate_fold, calibrate_pattern, fit
-from jaxcrumple.contact.energy import SelfContact
+from jaxcrumple.contact.parameters import SelfContact
 from jaxcrumple.io import CheckpointError, Run, RunDirectoryError, load
 from jaxcrumple.material.material import Material
 from jaxcrumple.material.presets import PRESETS, preset
@@ -57,6 +57,7 @@ from jaxcrumple.scenes import (
 )
 from jaxcrumple.simulate import SimulationError, Solution, frame_times, simulate
 from jaxcrumple.solvers.contact.reallocate import with_contacts
+from jaxcrumple.solvers.contact.report import contact_report
 from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.linear.solve import linear_solve
 from jaxcrumple.solvers.relax import relax
@@ -114,6 +115,7 @@ __all__ = [
     "cap",
     "configure",
     "conical",
+    "contact_report",
     "custom",
     "cylindrical",
     "dcone",

@@ -1,5 +1,6 @@
 """Scene: the parameters of the equations of motion, and the input of derivatives."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,9 +11,10 @@ from jax import Array
 
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import is_known, require_finite, require_numbers, shown
+from jaxcrumple.assembly.contact_blocks import ContactBlocks
 from jaxcrumple.assembly.sparsity import Pattern, build_pattern
-from jaxcrumple.contact.energy import Contact, SelfContact, build_contact, check_options_of
-from jaxcrumple.contact.lists import Near
+from jaxcrumple.contact.lists import ContactLists
+from jaxcrumple.contact.parameters import Contact, SelfContact, build_contact, check_options_of
 from jaxcrumple.material.material import Material, ModelConstants
 from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.model.bending import Bending
@@ -35,7 +37,8 @@ class Scene(eqx.Module):
       `velocity_scale` m/s: unit of the velocity error in the error test of the explicit stage.
     - `membrane`, `bending`: always present. `plasticity`, `drag`, `damping`, `gravity`,
       `prescribed`, `contact`: may be None. `walls`, `extra`: tuples, possibly empty.
-    - `pattern`: sparsity pattern of the tangent.
+    - `pattern`: sparsity pattern of the tangent of the sheet.
+    - `lists`: neighbour lists of `with_contacts`, or None. Runs build their own.
     """
 
     mass: Array
@@ -53,6 +56,7 @@ class Scene(eqx.Module):
     extra: tuple[ElementEnergy, ...]
     contact: Contact | None
     pattern: Pattern
+    lists: ContactLists | None = None
 
     @property
     def n_nodes(self) -> int:
@@ -70,6 +74,14 @@ class Scene(eqx.Module):
         if self.drag is None:
             return jnp.asarray(jnp.inf)
         return jnp.mean(self.mass) / jnp.mean(self.drag.coefficient)
+
+    @property
+    def sparsity(self) -> Pattern:
+        """Return the pattern of the tangent, with the blocks of the pairs in `lists`."""
+        if self.contact is None or self.lists is None:
+            return self.pattern
+        blocks = ContactBlocks.of(self.lists.pairs, self.contact.faces, self.lists.matrix)
+        return eqx.tree_at(lambda p: p.contact, self.pattern, blocks, is_leaf=lambda leaf: leaf is None)
 
     def rest_curvature(self, p: Array | None) -> Array:
         """Return the rest curvature `p` of a state, or the initial one in an elastic scene (`p` None)."""
@@ -112,17 +124,9 @@ def check_scene(scene: Any) -> None:
     require_finite("scene.bending.rest_curvature", scene.bending.rest_curvature)
 
 
-def with_near(scene: Scene, near: Near) -> Scene:
-    """Replace the list of site pairs, and the contact blocks of the tangent's pattern accordingly."""
-    assert scene.contact is not None
-    nodes = scene.contact.faces[near.triangles].reshape(-1, 6)
-    return eqx.tree_at(
-        lambda s: (
-            s.contact.near, s.pattern.contact.triangles, s.pattern.contact.nodes, s.pattern.contact.count,
-        ),
-        scene,
-        (near, near.triangles, nodes, near.pair_count),
-    )  # fmt: skip
+def with_lists(scene: Scene, lists: ContactLists | None) -> Scene:
+    """Replace the neighbour lists."""
+    return dataclasses.replace(scene, lists=lists)
 
 
 @door
@@ -216,6 +220,7 @@ def sheet(
         extra=tuple(extra),
         contact=_contact(mesh, constants, contact, like),
         pattern=pattern,
+        lists=None if like is None else like.lists,
     )
 
 

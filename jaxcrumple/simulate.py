@@ -19,7 +19,7 @@ from jaxcrumple._jax.tree import as_float, is_number, require_limit
 from jaxcrumple.model.loads import check_motion
 from jaxcrumple.replay.record import Record, Recorder
 from jaxcrumple.scene import Scene
-from jaxcrumple.solvers.contact.reallocate import Renewal
+from jaxcrumple.solvers.contact.reallocate import Reallocation
 from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.log import AFTER, BEFORE, ENERGIES, EVENT_COLUMNS, Log, Row
 from jaxcrumple.solvers.scheme import Integrator, checked_solver, integrator
@@ -157,10 +157,10 @@ def simulate(
         solver = recorder.solver(solver)
     watchers = (kept, *observers)
     with limited_blas():
-        renewal = None
+        reallocation = None
         if scene.contact is not None:
-            renewal = Renewal(scene, solver.one_matrix)
-            scene = renewal.first(scene, state)
+            reallocation = Reallocation(scene, solver.one_matrix)
+            scene = reallocation.first(scene, state)
             check_gap(scene, state)
         compile_s = _compile(scene, state, solver, recorder)
         start = time.perf_counter()
@@ -168,7 +168,7 @@ def simulate(
         state = eqx.tree_at(lambda s: s.result, state, RESULTS.success)
         for index in range(first_frame, len(stops)):
             scene, state = _advance(
-                scene, state, stops[index], solver, watchers, index, budget, renewal, recorder
+                scene, state, stops[index], solver, watchers, index, budget, reallocation, recorder
             )
             if _name(state) != "success":
                 break
@@ -276,7 +276,7 @@ def _advance(
     watchers,
     frames: int,
     budget: _Budget,
-    renewal: Renewal | None,
+    reallocation: Reallocation | None,
     recorder: Recorder | None,
 ) -> tuple[Scene, State]:
     rows, told, waits = [], time.perf_counter(), 0
@@ -296,8 +296,8 @@ def _advance(
             rows, told = [], time.perf_counter()
         if over:
             break
-        if renewal is not None:
-            scene = renewal(scene, state)
+        if reallocation is not None:
+            scene = reallocation(scene, state)
     return scene, state
 
 

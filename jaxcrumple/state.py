@@ -11,13 +11,13 @@ from jax.typing import ArrayLike
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.memory import require
 from jaxcrumple._jax.tree import as_float, is_known, require_finite
-from jaxcrumple.contact.energy import Contact
-from jaxcrumple.contact.lists import Around, nowhere
+from jaxcrumple.contact.lists import Reference, nowhere
+from jaxcrumple.contact.parameters import Contact
 from jaxcrumple.model.loads import check_supported
 from jaxcrumple.scene import Scene, check_scene
 
-# In contact ranges: largest reach of the first site list, and smallest reach of the first list of pairs that
-# have entries in the merged matrix.
+# In contact ranges: largest skin of the first list of site pairs, and smallest skin of the first list of
+# pairs that have entries in the matrix of a direct solver.
 FIRST, FIRST_PLACED = 0.25, 0.75
 # Points in the multistep history: BDF5 and the predictor of its error estimate need 6.
 HISTORY = 6
@@ -201,15 +201,15 @@ class Slopes(NamedTuple):
 class Listing(eqx.Module):
     """Record for which motions the contact lists were built, so that a saved state rebuilds the same lists.
 
-    `candidates`, `near`, `active`: as in `Contact`; `matrix`: for the pairs of triangles that have entries in
-    the merged matrix of a direct solver; `stale`: whether a pair lacks its entries; `needed` (4,): 0, or the
-    required capacities after an overflow: the three of `Near.needed`, and that of the candidates.
+    `candidates`, `pairs`, `active`, `matrix`: references of the four lists of `ContactLists`; `stale`:
+    whether a pair lacks its entries in the matrix; `needed` (4,): 0, or the required capacities after an
+    overflow: the three of `SitePairs.needed`, and that of the candidates.
     """
 
-    candidates: Around
-    near: Around
-    active: Around
-    matrix: Around
+    candidates: Reference
+    pairs: Reference
+    active: Reference
+    matrix: Reference
     stale: Array
     needed: Array
 
@@ -323,11 +323,11 @@ def _no_linearization(scene: Scene, history: History) -> Linearization:
 
 def first_listing(contact: Contact, x: Array) -> Listing:
     """Return the listing of a run that starts at positions `x` (n, 3)."""
-    around = Around(x, jnp.broadcast_to(contact.calm, x.shape[0]))
-    near = Around(x, jnp.minimum(around.reach, FIRST * contact.range))
-    matrix = Around(x, jnp.maximum(around.reach, FIRST_PLACED * contact.range))
+    candidates = Reference(x, jnp.broadcast_to(contact.calm, x.shape[0]))
+    pairs = Reference(x, jnp.minimum(candidates.skin, FIRST * contact.range))
+    matrix = Reference(x, jnp.maximum(candidates.skin, FIRST_PLACED * contact.range))
     active = nowhere(x.shape[0])
-    return Listing(around, near, active, matrix, jnp.asarray(False), jnp.zeros(4, int))
+    return Listing(candidates, pairs, active, matrix, jnp.asarray(False), jnp.zeros(4, int))
 
 
 def restarted(scene: Scene, state: State, x: Array, v: Array) -> State:

@@ -11,6 +11,8 @@ from jax.typing import ArrayLike
 
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float, require_shape
+from jaxcrumple.contact import energy as contact_energy
+from jaxcrumple.contact.coverage import covers
 from jaxcrumple.geometry.hinge import Hinge, curvature
 from jaxcrumple.model.plasticity import implicit_update
 from jaxcrumple.scene import Scene, require_scene
@@ -42,7 +44,7 @@ def energies(scene: Scene, x: ArrayLike, v: ArrayLike, p: ArrayLike | None, t: A
     return Energies(
         stretch=scene.membrane.energy(x),
         bending=scene.bending.energy(x, scene.rest_curvature(p)),
-        contact=zero if scene.contact is None else scene.contact.energy(x),
+        contact=zero if scene.contact is None else contact_energy.energy(scene.contact, scene.lists, x),
         confinement=sum((w.energy(x, t) for w in scene.walls), zero),
         gravity=zero if scene.gravity is None else scene.gravity.energy(x),
         extra=sum((e.energy(x, t) for e in scene.extra), zero),
@@ -84,7 +86,7 @@ def force_terms(scene: Scene, x: Array, p: Array | None, t: Array) -> list[Array
     """Compute the forces (n, 3) in N on nodes at rest, term by term; their sum is `force` at v = 0."""
     bending = scene.bending.force(scene.bending.hinges(x), scene.rest_curvature(p), x.shape[0])
     terms = [scene.membrane.force(x), bending]
-    terms += [] if scene.contact is None else [scene.contact.force(x)]
+    terms += [] if scene.contact is None else [contact_energy.force(scene.contact, scene.lists, x)]
     terms += [wall.force(x, t) for wall in scene.walls]
     terms += [term.force(x, t) for term in scene.extra]
     return terms if scene.gravity is None else [*terms, scene.gravity.force()]
@@ -93,7 +95,7 @@ def force_terms(scene: Scene, x: Array, p: Array | None, t: Array) -> list[Array
 def _external_force(scene: Scene, x: Array, t: Array) -> Array:
     total = scene.membrane.force(x)
     if scene.contact is not None:
-        total = total + scene.contact.force(x)
+        total = total + contact_energy.force(scene.contact, scene.lists, x)
     for wall in scene.walls:
         total = total + wall.force(x, t)
     for term in scene.extra:
@@ -179,7 +181,7 @@ def _condensed(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array
 def linearize(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array]:
     """Compute the residual (n, 3) and the values (size,) of its exact, symmetric tangent (eq. 51).
 
-    The values are the entries of `scene.pattern`."""
+    The values are the entries of `scene.sparsity`."""
     value, p, softening = _condensed(scene, step, x)
     edge_blocks = scene.membrane.blocks(x)
     nodes = jnp.zeros((x.shape[0], 3, 3), x.dtype)
@@ -220,19 +222,21 @@ def _assemble(scene: Scene, x, t, edge_blocks, hinge_blocks, nodes) -> Array:
     for wall in scene.walls:
         nodes = nodes + wall.blocks(x, t)
     extra = [term.blocks(x, t) for term in scene.extra]
-    pattern = scene.pattern
+    pattern, contact, lists = scene.pattern, scene.contact, scene.lists
     blocks = pattern.assemble([edge_blocks, hinge_blocks, *extra], nodes)
-    if scene.contact is None or pattern.contact is None:
+    if contact is None:
         values = pattern.values(blocks)
+    elif lists is None or pattern.face_blocks is None:
+        values = jnp.where(covers(contact, None, x), pattern.values(blocks), jnp.nan)
     else:
-        blocks, cross, lift = scene.contact.add_tangent(x, blocks, pattern.contact.face_blocks)
+        blocks, cross, lift = contact_energy.add_tangent(contact, lists, x, blocks, pattern.face_blocks)
         values = jnp.concatenate([pattern.values(blocks), cross.reshape(-1), lift])
     return values if scene.prescribed is None else _eliminate(scene, scene.prescribed.held(t), values)
 
 
 def _eliminate(scene: Scene, held: Array, values: Array) -> Array:
     """Replace rows and columns of the components `held` (n, 3) by the identity times a typical stiffness."""
-    pattern, mask = scene.pattern, held.reshape(-1)
+    pattern, mask = scene.sparsity, held.reshape(-1)
     fixed = mask[pattern.rows] | mask[pattern.indices]
     unit = jnp.where(pattern.rows == pattern.indices, jnp.mean(scene.membrane.stiffness), 0.0)
     own = jnp.where(fixed, unit, values[: pattern.nnz])
@@ -252,7 +256,7 @@ def tangent(scene: Scene, state: State) -> sparse.csr_array:
     check_state(scene, state)
     values = np.asarray(eqx.filter_jit(elastic_tangent)(scene, state.x, state.p, state.t))
     size = 3 * scene.n_nodes
-    pattern = scene.pattern
+    pattern = scene.sparsity
     own = values[: pattern.nnz]
     upper = sparse.csr_array(
         (own, np.asarray(pattern.indices), np.asarray(pattern.indptr)), shape=(size, size)

@@ -10,22 +10,24 @@ counts. Iterations of the two-level solver: for the residual of a step of 0.1 ms
     python scripts/bench_contact.py [--nodes N ...] [--json FILE]
 """
 
-from pathlib import Path
+from pathlib import dataclasses
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import Path
 from benchlib import markdown, options, paired, parts_of_a_step, recorded, save, timed_run
 from matplotlib.figure import Figure
 
 from jaxcrumple import integrator
 from jaxcrumple._jax.threads import limited_blas
 from jaxcrumple.contact.broad_phase import find_candidates
-from jaxcrumple.contact.narrow_phase import find_near
+from jaxcrumple.contact.narrow_phase import find_pairs
 from jaxcrumple.geometry.intersections import intersections
 from jaxcrumple.scene import Scene
-from jaxcrumple.solvers.contact.reallocate import Renewal, with_contacts
+from jaxcrumple.solvers.contact.reallocate import Reallocation, with_contacts
+from jaxcrumple.solvers.contact.report import contact_report
 from jaxcrumple.solvers.implicit.newton import FORCING
 from jaxcrumple.state import State
 from jaxcrumple.system import linearize
@@ -42,8 +44,7 @@ ROUNDS, STEP = 5, 1e-4
 
 def phantom(scene: Scene) -> Scene:
     """The scene without contact."""
-    none = (None, None)
-    return eqx.tree_at(lambda s: (s.contact, s.pattern.contact), scene, none)
+    return dataclasses.replace(scene, contact=None, lists=None)
 
 
 def without_listing(state: State) -> State:
@@ -82,13 +83,14 @@ def components(scene: Scene, state: State) -> dict[str, float]:
 
 def list_costs(scene: Scene, state: State) -> dict[str, float]:
     """Seconds of a search for candidates, of a list of sites, and of giving pairs a place in the matrix."""
-    contact, listing, renewal = scene.contact, state.listing, Renewal(scene, merged=True)
-    theta = scene.bending.hinges(listing.candidates.x).theta
-    search, sites = eqx.filter_jit(find_candidates), eqx.filter_jit(find_near)
+    contact, listing, lists = scene.contact, state.listing, scene.lists
+    own, theta = Reallocation(scene, merged=True), scene.bending.hinges(listing.candidates.x).theta
+    search, sites = eqx.filter_jit(find_candidates), eqx.filter_jit(find_pairs)
+    room, capacity = lists.candidates.triangles.shape[0], lists.pairs.capacity
     calls = {
-        "search": lambda: search(contact, theta, listing.candidates),
-        "sites": lambda: sites(contact, listing.near),
-        "places": lambda: renewal.placed(scene, listing.matrix).pattern.contact.merged,
+        "search": lambda: search(contact, theta, listing.candidates, room),
+        "sites": lambda: sites(contact, lists.candidates, listing.pairs, capacity),
+        "places": lambda: own.placed(lists, listing.matrix).matrix,
     }
     return {name: timing.seconds for name, timing in paired(calls, 10).items()}
 
@@ -107,8 +109,8 @@ def iterations(scene: Scene, state: State) -> jax.Array:
     solver = integrator(scheme="dynamic", linear="two-level").implicit
     step, _ = solver.equations(scene, state, jnp.asarray(STEP))
     value, values = linearize(scene, step, state.x)
-    factor = solver.linear.factor(scene.pattern, values, solver.linear.start(scene.pattern))
-    solution = solver.linear.solve(scene.pattern, factor, values, -value.reshape(-1), FORCING)
+    factor = solver.linear.factor(scene.sparsity, values, solver.linear.start(scene.sparsity))
+    solution = solver.linear.solve(scene.sparsity, factor, values, -value.reshape(-1), FORCING)
     return jnp.where(solution.indefinite, 0, solution.iterations)
 
 
@@ -119,8 +121,8 @@ def measure(nodes: int, folder: Path) -> dict:
         for t in TIMES:
             scene, state = recorded(nodes, t, folder, "penalty", TIMES)
             listed = with_contacts(scene, state.x)
-            gap, contacts = listed.contact.gaps(state.x)
-            row = {"t": t, "R_cm": 7.1 - t, "contacts": int(contacts), "gap_um": 1e6 * float(gap)}
+            report = contact_report(listed, state.x)
+            row = {"t": t, "R_cm": 7.1 - t, "contacts": report.interacting, "gap_um": 1e6 * report.gap}
             row |= components(scene, state)
             row |= list_costs(listed, state)
             row["two-level"] = int(iterations(listed, state))

@@ -44,7 +44,7 @@ def kernels(nodes: int, folder) -> dict[str, Kernel]:
     scene, state = recorded(nodes, STATES["crumpled"], folder)
     step, x = next_equations(scene, state)
     value, values = eqx.filter_jit(linearize)(scene, step, x)
-    rows = eqx.filter_jit(scene.pattern.expand)(values)
+    rows = eqx.filter_jit(scene.sparsity.expand)(values)
     direction = value / jnp.max(jnp.abs(value))
 
     def matrix_free(data, y):
@@ -56,9 +56,9 @@ def kernels(nodes: int, folder) -> dict[str, Kernel]:
         "residual": Kernel(lambda d, x: residual(*d, x), (scene, step), x),
         "hinge_hessians": Kernel(lambda d, x: d[0].blocks(x, d[1], None), (scene.bending, state.p), x),
         "tangent": Kernel(lambda d, x: linearize(*d, x), (scene, step), x),
-        "expansion": Kernel(lambda d, values: d.expand(values), scene.pattern, values),
+        "expansion": Kernel(lambda d, values: d.expand(values), scene.sparsity, values),
         "product": Kernel(
-            lambda d, y: d[0].expanded_product(d[1], y), (scene.pattern, rows), -direction.ravel()
+            lambda d, y: d[0].expanded_product(d[1], y), (scene.sparsity, rows), -direction.ravel()
         ),
         "matrix_free": Kernel(matrix_free, (scene, step, x), direction),
     }

@@ -60,11 +60,11 @@ def matrices(nodes: int, folder: Path):
         drag_rate = float(jnp.mean(scene.drag.coefficient) / jnp.mean(scene.mass))
         sigma = (drag_rate + float(step.inertia) / float(step.beta_h)) / float(step.beta_h)
         random = jnp.asarray(np.random.default_rng(0).normal(size=3 * nodes))
-        yield scene.pattern, name, sigma, "random", values, random
+        yield scene.sparsity, name, sigma, "random", values, random
         if "flat" not in name:
-            yield scene.pattern, name, sigma, "Newton", values, -value.reshape(-1)
+            yield scene.sparsity, name, sigma, "Newton", values, -value.reshape(-1)
             low = eqx.filter_jit(elastic_tangent)(scene, state.x, state.p, state.t, LOW_SIGMA)
-            yield scene.pattern, name, LOW_SIGMA, "random", low, random
+            yield scene.sparsity, name, LOW_SIGMA, "random", low, random
 
 
 def timed(pattern, values, rhs, rtol: float, blocks, repeats: int) -> dict[str, dict]:

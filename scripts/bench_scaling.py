@@ -84,10 +84,10 @@ def option_costs(nodes: int, folder) -> dict[str, float]:
     def iterations(scene: Scene, state: State):
         step, x = next_equations(scene, state)
         value, values = linearize(scene, step, x)
-        factor = linear.factor(scene.pattern, values, linear.start(scene.pattern))
-        x = x + linear.solve(scene.pattern, factor, values, -value.reshape(-1), 1e-3).x.reshape(x.shape)
+        factor = linear.factor(scene.sparsity, values, linear.start(scene.sparsity))
+        x = x + linear.solve(scene.sparsity, factor, values, -value.reshape(-1), 1e-3).x.reshape(x.shape)
         value, p = residual(scene, step, x)
-        last = linear.solve(scene.pattern, factor, values, -value.reshape(-1), 1e-3)
+        last = linear.solve(scene.sparsity, factor, values, -value.reshape(-1), 1e-3)
         return x, p, last.x, factor.negative
 
     fresh = iter(range(1, 10**6))

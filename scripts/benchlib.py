@@ -239,14 +239,14 @@ def parts_of_a_step(scene: Scene, state: State) -> dict[str, float]:
 
     @eqx.filter_jit
     def factor(values, last):
-        return linear.factor(scene.pattern, values, last)
+        return linear.factor(scene.sparsity, values, last)
 
     @eqx.filter_jit
     def solve(last, rhs):
-        return linear.solve(scene.pattern, last, None, rhs, 1e-3).x
+        return linear.solve(scene.sparsity, last, None, rhs, 1e-3).x
 
     # As in a run: each factor from the last one, which the library makes over.
-    made = [eqx.filter_jit(linear.start)(scene.pattern)]
+    made = [eqx.filter_jit(linear.start)(scene.sparsity)]
 
     def factored():
         made[0] = factor(values * (1.0 + 1e-12 * next(fresh)), made[0])

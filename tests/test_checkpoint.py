@@ -169,9 +169,9 @@ def test_npz_with_a_pickle_is_refused(tmp_path, state):
 def test_other_version_is_refused(saved, state):
     with np.load(saved) as file:
         arrays = {name: file[name] for name in file.files}
-    arrays["header"] = np.array(str(arrays["header"]).replace('"version": 1', '"version": 9'))
+    arrays["header"] = np.array(str(arrays["header"]).replace('"version": 2', '"version": 9'))
     np.savez(saved, **arrays)
-    with pytest.raises(CheckpointError, match="format version 9, this program reads 1"):
+    with pytest.raises(CheckpointError, match="format version 9, this program reads 2"):
         load_checkpoint(saved, state)
 
 

@@ -214,7 +214,7 @@ def plain():
         (lambda s, a: jc.with_contacts(MESH, X), r"^scene has type Mesh; it must be a Scene"),
         (
             lambda s, a: jc.linear_solve("auto", s, X, X),
-            r"^pattern has type Scene; it must be scene\.pattern",
+            r"^pattern has type Scene; it must be scene\.sparsity",
         ),
         (
             lambda s, a: jc.replay(s, a),
@@ -259,8 +259,9 @@ SINGLE = """
         "elastic_tangent": lambda: jc.elastic_tangent(scene, x, None, 0.0),
         "tangent": lambda: jc.tangent(scene, state),
         "mass_matrix": lambda: jc.mass_matrix(scene),
-        "linear_solve": lambda: jc.linear_solve("two-level", scene.pattern, x, x),
+        "linear_solve": lambda: jc.linear_solve("two-level", scene.sparsity, x, x),
         "with_contacts": lambda: jc.with_contacts(scene, x),
+        "contact_report": lambda: jc.contact_report(scene, x),
         "replay": lambda: jc.replay(scene, record),
         "fit": lambda: jc.fit(None, {}),
         "sweep": lambda: jc.sweep("arch", {"rise": [1e-3]}, 0.1),

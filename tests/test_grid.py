@@ -13,8 +13,9 @@ from test_lists import moving_layers
 import jaxcrumple as jc
 from jaxcrumple.contact.adjacency import DUE_TURN, LISTED_TURN
 from jaxcrumple.contact.broad_phase import find_candidates
+from jaxcrumple.contact.coverage import sharpest
 from jaxcrumple.contact.host_broad_phase import Search, _tree_pairs
-from jaxcrumple.contact.lists import Around, no_candidates
+from jaxcrumple.contact.lists import Reference
 from jaxcrumple.geometry.distance import primitive_distances
 from jaxcrumple.geometry.hinge import gather
 
@@ -22,26 +23,23 @@ SIGMA = 0.5e-3
 
 
 def layers():
-    """A folded strip, its contact with room for all pairs, and places and reaches of nodes."""
+    """A folded strip, and positions and skins of its nodes."""
     mesh = strip(1.2 * SIGMA, columns=(6, 7), rows=5)
     rng = np.random.default_rng(3)
     x = folded(mesh, 1.2 * SIGMA, (6, 7)) + rng.normal(scale=0.05 * SIGMA, size=(mesh.n_nodes, 3))
     reach = SIGMA * rng.uniform(0.1, 1.5, mesh.n_nodes)
     scene = jc.sheet(mesh, jc.Material(thickness=0.3e-3), contact=jc.SelfContact(range=SIGMA, level=1))
-    return with_room(scene, 6000), jnp.asarray(x), jnp.asarray(reach)
+    return scene, jnp.asarray(x), jnp.asarray(reach)
 
 
-def with_room(scene, room):
-    """The scene with an empty list of candidates."""
-    old = scene.contact.candidates
-    none = no_candidates(scene.n_nodes, len(old.theta), len(old.folded), room)
-    return eqx.tree_at(lambda s: s.contact.candidates, scene, none)
-
-
-def found(scene, x, reach):
+def found(scene, x, skin, capacity=6000):
     """Candidates by the grid."""
-    search = eqx.filter_jit(lambda s, a: find_candidates(s.contact, s.bending.hinges(a.x).theta, a))
-    return search(scene, Around(x, reach))
+
+    def search(scene, reference):
+        theta = scene.bending.hinges(reference.x).theta
+        return find_candidates(scene.contact, theta, reference, capacity)
+
+    return eqx.filter_jit(search)(scene, Reference(x, skin))
 
 
 def every_pair(scene, x, reach):
@@ -100,9 +98,9 @@ def test_pairs_with_two_sharp_ways_count_once():
     lower = np.isin(np.arange(mesh.n_nodes), mesh.faces[np.argmin(mesh.vertices[mesh.faces, 0].sum(axis=1))])
     x = mesh.vertices.copy()
     x[~lower] = x[lower] + np.array([0.0, 0.0, 1.2 * SIGMA])
-    scene, x, reach = with_room(scene, 20), jnp.asarray(x), jnp.full(mesh.n_nodes, 0.5 * SIGMA)
+    x, reach = jnp.asarray(x), jnp.full(mesh.n_nodes, 0.5 * SIGMA)
     sharp = np.sum(scene.contact.fans.turning(scene.bending.hinges(x).theta) > LISTED_TURN)
-    candidates = found(scene, x, reach)
+    candidates = found(scene, x, reach, 20)
     pairs, _ = Search(scene.contact, scene.bending.nodes).find(np.asarray(x), np.asarray(reach))
     assert sharp > len(pairs) == int(candidates.count)
     np.testing.assert_array_equal(np.asarray(candidates.triangles)[: len(pairs)], pairs)
@@ -112,12 +110,12 @@ def test_a_bound_on_how_folds_turn_never_hides_one_that_turns_more():
     """Whether it decides (small motions) or not (large ones)."""
     scene, x, reach = layers()
     candidates = found(scene, x, reach)
-    contact = eqx.tree_at(lambda c: c.candidates, scene.contact, candidates)
+    contact = scene.contact
     rng, plain = np.random.default_rng(7), 0
     for size in SIGMA * np.array([0.0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3]):
         theta = scene.bending.hinges(x + jnp.asarray(rng.normal(scale=size, size=x.shape))).theta
         turn = np.asarray(contact.fans.turning(theta))[~np.asarray(candidates.folded)].max()
-        told = float(contact.sharpest(theta))
+        told = float(sharpest(contact, candidates, theta))
         assert told == turn or turn <= told < DUE_TURN
         plain += told != turn
     assert 2 <= plain <= 5
@@ -125,8 +123,8 @@ def test_a_bound_on_how_folds_turn_never_hides_one_that_turns_more():
 
 def test_too_little_room_is_told():
     scene, x, reach = layers()
-    candidates = found(with_room(scene, 100), x, reach)
-    assert int(candidates.count) > 100
+    candidates = found(scene, x, reach, 100)
+    assert int(candidates.count) > 100 and candidates.overflow
 
 
 @pytest.mark.slow
@@ -140,7 +138,7 @@ def test_when_lists_are_made_changes_no_bit(monkeypatch):
     own = eqx.filter_jit(lambda *arguments: jc.integrate(*arguments))
     monkeypatch.setattr(importlib.import_module("jaxcrumple.simulate"), "_integrate", own)
     often = jc.simulate(scene, state, 1.0, solver=solver, max_attempts=900).state
-    assert not np.array_equal(usual.listing.near.x, often.listing.near.x)
+    assert not np.array_equal(usual.listing.pairs.x, often.listing.pairs.x)
     for name in ("t", "x", "v"):
         for a, b in zip(*(jax.tree.leaves(getattr(s, name)) for s in (usual, often)), strict=True):
             np.testing.assert_array_equal(a, b, err_msg=name)

@@ -146,12 +146,12 @@ def test_linear_systems():
     )
     rhs = jnp.ones(3 * made.n_nodes)
     with pytest.raises(ValueError, match=r"rhs \(5,\) do not fit the pattern: \(\d+,\) and \(120,\)"):
-        linear_solve("two-level", made.pattern, values, rhs[:5])
+        linear_solve("two-level", made.sparsity, values, rhs[:5])
     with pytest.raises(ValueError, match="linear solver 'lu' is unknown"):
-        linear_solve("lu", made.pattern, values, rhs)
+        linear_solve("lu", made.sparsity, values, rhs)
     if direct_available():
         with pytest.raises(ValueError, match=r"cannot be batched by vmap \(here over 2 lanes\)"):
-            jax.vmap(lambda v: linear_solve("direct", made.pattern, v, rhs))(jnp.stack([values, values]))
+            jax.vmap(lambda v: linear_solve("direct", made.sparsity, v, rhs))(jnp.stack([values, values]))
 
 
 def test_a_wall_that_stands_still_is_given_by_a_number():
@@ -208,7 +208,7 @@ def test_positions_that_are_none_are_refused_before_a_search():
     with pytest.raises(ValueError, match=r"x of node 3 is \[nan nan nan\]; it must be finite"):
         with_contacts(made, np.where(np.arange(40)[:, None] == 3, np.nan, x))
     with pytest.raises(ValueError, match="call it outside jit, grad and vmap"):
-        jax.jit(lambda x: with_contacts(made, x).contact.energy(x))(jnp.asarray(x))
+        jax.jit(lambda x: with_contacts(made, x).mass)(jnp.asarray(x))
 
 
 def test_states_of_phantoms_and_of_sheets_with_contact_are_told_apart():

@@ -129,7 +129,7 @@ def test_runs_are_the_same_bits_in_strict_modes(contact):
                 eqx.filter_grad(lambda s, record=solution.record: jnp.sum(jc.replay(s, record).x ** 2))
             )(scene)
             values = jc.elastic_tangent(scene, X, None, 0.0, 1e6)
-            x = jc.linear_solve("two-level", scene.pattern, values, X.ravel())
+            x = jc.linear_solve("two-level", scene.sparsity, values, X.ravel())
         found.append(
             (solution.x, again.x, rest.state.x, gradient.bending.stiffness, jc.tangent(scene, state).data, x)
         )

@@ -57,9 +57,9 @@ def crumpled():
     scene = sheet(mesh, Material(), walls=[wall])
     p = jnp.asarray(0.1 * rng.normal(size=len(mesh.hinges)))
     values = eqx.filter_jit(elastic_tangent)(scene, jnp.asarray(x), p, jnp.asarray(0.0))
-    eigenvalues = np.linalg.eigvalsh(matrix(scene.pattern, values).toarray())
+    eigenvalues = np.linalg.eigvalsh(matrix(scene.sparsity, values).toarray())
     assert 0 < eigenvalues[0] < 1e-3 * eigenvalues[-1]
-    return scene.pattern, values, jnp.asarray(rng.normal(size=3 * mesh.n_nodes))
+    return scene.sparsity, values, jnp.asarray(rng.normal(size=3 * mesh.n_nodes))
 
 
 @functools.cache
@@ -71,10 +71,10 @@ def compressed():
     shift = 1e-4 * float(jnp.max(scene.membrane.stiffness) / jnp.min(scene.mass))
     x = jnp.asarray(mesh.vertices * [0.97, 0.97, 1.0])
     values = eqx.filter_jit(elastic_tangent)(scene, x, None, jnp.asarray(0.0), shift)
-    eigenvalues = np.linalg.eigvalsh(matrix(scene.pattern, values).toarray())
+    eigenvalues = np.linalg.eigvalsh(matrix(scene.sparsity, values).toarray())
     assert np.min(np.abs(eigenvalues)) > 1e-9 * np.max(eigenvalues)
     rhs = jnp.asarray(np.random.default_rng(0).normal(size=3 * mesh.n_nodes))
-    return scene.pattern, values, eigenvalues, rhs
+    return scene.sparsity, values, eigenvalues, rhs
 
 
 # --- Assembly ------------------------------------------------------------------------------------

@@ -7,15 +7,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from contacts import bound
 from folded import folded, strip
 
 import jaxcrumple as jc
 from jaxcrumple.contact.adjacency import PLACED_TURN
 from jaxcrumple.contact.host_broad_phase import Search
-from jaxcrumple.contact.lists import Around, Room, pair_key
+from jaxcrumple.contact.lists import Capacity, Reference, pair_key
 from jaxcrumple.geometry.hinge import curvature
-from jaxcrumple.solvers.contact.reallocate import PLACES, Renewal, _with_candidates, _with_room
-from jaxcrumple.solvers.contact.schedule import largest_move, ready_for, renewed, start_lists
+from jaxcrumple.solvers.contact.reallocate import PLACES, Reallocation, _with_sizes
+from jaxcrumple.solvers.contact.schedule import largest_move, ready_for, renewed, start_schedule
 from jaxcrumple.solvers.log import empty_log
 from jaxcrumple.state import EXPLICIT, IMPLICIT
 
@@ -57,7 +58,7 @@ def test_a_run_cut_anywhere_goes_on_to_the_same_bits(monkeypatch, scheme, speed)
     else:
         assert int(steps[EXPLICIT]) > 30
         assert np.all(np.isfinite(whole.listing.active.x))
-    assert float(jc.with_contacts(scene, state.x).contact.energy(state.x)) > 0
+    assert float(bound(jc.with_contacts(scene, state.x)).energy(state.x)) > 0
     for cut in (7, 30):
         first = jc.simulate(scene, state, 1.0, solver=solver, max_attempts=cut)
         assert first.result == "budget"
@@ -74,26 +75,26 @@ def test_a_list_of_sites_holds_for_several_implicit_steps():
     made = set()
     for _ in range(40):
         state = jc.simulate(scene, state, 1.0, solver=solver, max_attempts=1).state
-        made.add(np.asarray(state.listing.near.x).tobytes())
+        made.add(np.asarray(state.listing.pairs.x).tobytes())
     assert int(state.counters.steps[IMPLICIT]) > 30
     assert len(made) < 6
 
 
 def test_lists_and_places_are_those_that_a_state_waits_for():
     scene, state = pressed_layers()
-    far = Around(state.x, jnp.full(scene.n_nodes, 3.0 * SIGMA))
+    far = Reference(state.x, jnp.full(scene.n_nodes, 3.0 * SIGMA))
     needed = jnp.asarray([5000, 200_000, 400_000, 100_000])
     waiting = eqx.tree_at(lambda s: (s.listing.matrix, s.listing.needed), state, (far, needed))
     here, there = jc.with_contacts(scene, state), jc.with_contacts(scene, waiting)
-    assert int(here.contact.near.site_count) == int(there.contact.near.site_count) > 0
-    assert np.all(np.array(there.contact.near.room) >= needed[:3])
-    assert there.contact.candidates.triangles.shape[0] >= 100_000
+    assert int(here.lists.pairs.count) == int(there.lists.pairs.count) > 0
+    assert np.all(np.array(there.lists.pairs.capacity) >= needed[:3])
+    assert there.lists.candidates.triangles.shape[0] >= 100_000
     pairs, _ = Search(scene.contact, scene.bending.nodes).find(
-        *map(np.asarray, (far.x, far.reach)), PLACED_TURN
+        *map(np.asarray, (far.x, far.skin)), PLACED_TURN
     )
     keys = pair_key(jnp.asarray(pairs), len(scene.contact.faces))
-    assert np.all(np.isin(keys, there.pattern.contact.merged.keys))
-    assert not np.all(np.isin(keys, here.pattern.contact.merged.keys))
+    assert np.all(np.isin(keys, there.lists.matrix.keys))
+    assert not np.all(np.isin(keys, here.lists.matrix.keys))
 
 
 @pytest.mark.slow
@@ -102,7 +103,7 @@ def test_lists_with_room_for_one_grow_and_change_no_bit(monkeypatch):
     roomy = jc.simulate(scene, state, 1.0, max_attempts=48).state
     for name in ("CANDIDATES_PER_NODE", "LEAST_CANDIDATES"):
         monkeypatch.setattr(f"jaxcrumple.solvers.contact.reallocate.{name}", 0)
-    monkeypatch.setattr("jaxcrumple.solvers.contact.reallocate.first_room", lambda n: Room(1, 1, 1))
+    monkeypatch.setattr("jaxcrumple.solvers.contact.reallocate.first_capacity", lambda n: Capacity(1, 1, 1))
     # They are filled before the run compiles, with room to spare.
     once = eqx.filter_jit(eqx.debug.assert_max_traces(jc.integrate, max_traces=1))
     monkeypatch.setattr(importlib.import_module("jaxcrumple.simulate"), "_integrate", once)
@@ -129,8 +130,8 @@ def test_lists_that_never_fit_end_in_a_named_result(monkeypatch):
 @pytest.mark.parametrize(
     "room",
     [
-        pytest.param(Room(1, 1, 1), id="tight"),
-        pytest.param(Room(1000, 1000, 1000), id="roomy", marks=pytest.mark.slow),
+        pytest.param(Capacity(1, 1, 1), id="tight"),
+        pytest.param(Capacity(1000, 1000, 1000), id="roomy", marks=pytest.mark.slow),
     ],
 )
 def test_what_is_only_near_a_long_step_makes_it_short_and_needs_no_room(room):
@@ -142,22 +143,22 @@ def test_what_is_only_near_a_long_step_makes_it_short_and_needs_no_room(room):
     # As in a sheet whose triangles are all as wide as most of these, and which is not flat.
     calm = jnp.asarray(8.0 * sigma)
     scene = eqx.tree_at(lambda s: (s.contact.calm, s.contact.chart), scene, (calm, None))
-    renewal = Renewal(scene, merged=False)
-    renewal.room = room
+    own = Reallocation(scene, merged=False)
+    own.capacity = room
     state = jc.initial_state(scene, x)
-    scene = renewal.first(scene, state)
-    state, lists = start_lists(scene, state, False)
+    scene = own.first(scene, state)
+    state, schedule = start_schedule(scene, state, False)
     flight = jnp.where(x[:, :1] > 0, 12.0 * sigma, 0.0) * jnp.asarray([0.0, 0.0, 1.0])
 
     @eqx.filter_jit
-    def prepared(state, lists):
-        state, lists = renewed(scene, state, lists)
-        share = largest_move(scene, lists, x, x + flight)
-        return *ready_for(scene, state, lists, x + share * flight), share
+    def prepared(state, schedule):
+        state, schedule = renewed(scene, state, schedule)
+        share = largest_move(scene, schedule, x, x + flight)
+        return *ready_for(scene, state, schedule, x + share * flight), share
 
     shares = []
     for _ in range(8):
-        state, lists, ready, share = prepared(state, lists)
+        state, schedule, ready, share = prepared(state, schedule)
         shares.append(float(share))
         assert not np.any(state.listing.needed)
         if ready:
@@ -171,36 +172,35 @@ def test_what_is_only_near_a_long_step_makes_it_short_and_needs_no_room(room):
 def test_a_list_that_is_too_short_is_the_one_that_grows(short):
     """Pairs of triangles near, sites there, pairs of sites, and pairs of triangles that may meet."""
     scene, state = pressed_layers()
-    renewal = Renewal(scene, merged=True)
-    scene = renewal.first(scene, state)
-    contact = scene.contact
-    assert contact is not None
-    sizes = [*contact.near.needed.tolist(), int(contact.candidates.count)]
+    own = Reallocation(scene, merged=True)
+    scene = own.first(scene, state)
+    pairs, candidates = scene.lists.pairs, scene.lists.candidates
+    sizes = [*pairs.needed.tolist(), int(candidates.count)]
     assert min(sizes) > 8
-    renewal.candidates = sizes[3] - 1 if short == 3 else renewal.candidates
+    own.candidates = sizes[3] - 1 if short == 3 else own.candidates
     rooms = [size - 1 if place == short else size for place, size in enumerate(sizes)]
-    renewal.room = Room(*rooms[:3])
-    tight = _with_candidates(_with_room(scene, renewal.room), rooms[3])
+    own.capacity = Capacity(*rooms[:3])
+    tight = _with_sizes(scene, own.capacity, rooms[3])
     # The first lists reach no further than those that were measured.
-    state = eqx.tree_at(lambda s: s.listing.near, state, contact.near.around)
-    state, lists = start_lists(tight, state, False)
-    state, _ = eqx.filter_jit(renewed)(tight, state, lists)
+    state = eqx.tree_at(lambda s: s.listing.pairs, state, pairs.reference)
+    state, schedule = start_schedule(tight, state, False)
+    state, _ = eqx.filter_jit(renewed)(tight, state, schedule)
     needed = np.asarray(state.listing.needed)
     assert needed[short] > rooms[short]
-    grown = renewal.grown(tight, needed).contact
-    after = [*grown.near.room, grown.candidates.triangles.shape[0]]
+    grown = own.grown(tight.lists, needed)
+    after = [*grown.pairs.capacity, grown.candidates.triangles.shape[0]]
     assert after[short] >= sizes[short]
 
 
 def test_places_in_the_matrix_grow_with_the_lists():
     """Else the program is compiled for longer lists, and soon again for more places."""
     scene, state = pressed_layers()
-    renewal = Renewal(scene, merged=True)
-    scene = renewal.first(scene, state)
-    before = scene.pattern.contact.merged.keys
-    needed = jnp.asarray([4 * scene.contact.near.room.triangles, 0, 0, 0])
-    grown = renewal(scene, eqx.tree_at(lambda s: s.listing.needed, state, needed))
-    after, room = grown.pattern.contact.merged.keys, grown.contact.near.room
+    own = Reallocation(scene, merged=True)
+    scene = own.first(scene, state)
+    before = scene.lists.matrix.keys
+    needed = jnp.asarray([4 * scene.lists.pairs.capacity.triangles, 0, 0, 0])
+    grown = own(scene, eqx.tree_at(lambda s: s.listing.needed, state, needed))
+    after, room = grown.lists.matrix.keys, grown.lists.pairs.capacity
     assert room.triangles >= needed[0]
     assert len(after) >= PLACES * room.triangles > len(before)
     np.testing.assert_array_equal(after[: len(before)], before)

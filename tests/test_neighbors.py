@@ -4,23 +4,24 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from contacts import Bound, bound
 from folded import folded, layer_of, strip
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import jaxcrumple as jc
 from jaxcrumple.contact.active_set import find_active
-from jaxcrumple.contact.lists import EXCLUSION, Around, Room, no_neighbors
-from jaxcrumple.contact.narrow_phase import find_near
-from jaxcrumple.scene import with_near
-from jaxcrumple.solvers.contact.reallocate import Renewal
+from jaxcrumple.contact.lists import EXCLUSION, Capacity, Reference
+from jaxcrumple.contact.narrow_phase import find_pairs
+from jaxcrumple.solvers.contact.reallocate import Reallocation
+from jaxcrumple.solvers.contact.schedule import empty_lists
 
 SIGMA, GAP = 0.5e-3, 0.9
 COLUMNS = (5, 6, 5)
 
 
 def layers(level: int, roughness: float, turned: bool, reach=(0.02, 0.4)):
-    """Contact of a strip folded twice, with candidates and room, its positions and reach.
+    """Contact of a strip folded twice, its candidates, and its positions with a skin.
 
     Where it is smooth and straight, sites lie in the planes that bound what is looked at, up to rounding.
     """
@@ -32,15 +33,22 @@ def layers(level: int, roughness: float, turned: bool, reach=(0.02, 0.4)):
     reach = SIGMA * rng.uniform(*reach, mesh.n_nodes)
     options = jc.SelfContact(range=SIGMA, level=level)
     scene = jc.sheet(mesh, jc.Material(thickness=0.3e-3), contact=options)
-    scene = with_near(scene, no_neighbors(scene.n_nodes, len(scene.contact.share), Room(2000, 40000, 400000)))
-    around = Around(jnp.asarray(x), jnp.asarray(reach))
-    return Renewal(scene, merged=False).searched(scene, around).contact, around
+    here, lists = Reference(jnp.asarray(x), jnp.asarray(reach)), empty_lists(scene, scene.contact)
+    lists = Reallocation(scene, merged=False).searched(scene, lists, here)
+    return Bound(scene.contact, lists), here
 
 
-def all_pairs(contact, x, reach, miss):
+def found(bound, reference):
+    """The site pairs among the candidates."""
+    search = eqx.filter_jit(find_pairs)
+    return search(bound.contact, bound.lists.candidates, reference, Capacity(2000, 40000, 400000))
+
+
+def all_pairs(bound, x, reach, miss):
     """Sites (triangle, triangle, site, site) of candidates as near as their reach allows, but for `miss`."""
+    contact, candidates = bound.contact, bound.lists.candidates
     faces, weights, rest = (np.asarray(a) for a in (contact.faces, contact.weights, contact.rest))
-    pairs = np.asarray(contact.candidates.triangles[: int(contact.candidates.count)])
+    pairs = np.asarray(candidates.triangles[: int(candidates.count)])
     one, two = faces[pairs[:, 0]], faces[pairs[:, 1]]
     limit = SIGMA + reach[one].max(axis=1) + reach[two].max(axis=1)
 
@@ -53,12 +61,11 @@ def all_pairs(contact, x, reach, miss):
     return set(zip(*pairs[pair].T, first, second, strict=True))
 
 
-def listed(near, sites):
-    """The same of a list."""
-    at, second = np.divmod(np.asarray(near.picked[: int(near.site_count)]), sites)
-    owner, first = np.divmod(np.asarray(near.found)[at], sites)
-    triangles = np.asarray(near.triangles)[owner]
-    return list(zip(*triangles.T, first, second, strict=True))
+def listed(pairs, places=None):
+    """The same of a list, or of some places in it."""
+    places = np.arange(int(pairs.count)) if places is None else places
+    owner, first, second = (np.asarray(a)[places] for a in (pairs.owner, pairs.first, pairs.second))
+    return list(zip(*np.asarray(pairs.triangles)[owner].T, first, second, strict=True))
 
 
 @pytest.mark.filterwarnings("ignore:contact level = 0 leaves")
@@ -66,64 +73,62 @@ def listed(near, sites):
     ("level", "roughness", "turned"), [(0, 0.0, False), (4, 0.0, False), (4, 0.0, True), (3, 0.1, True)]
 )
 def test_the_list_holds_the_sites_that_may_meet_and_no_others(level, roughness, turned):
-    contact, around = layers(level, roughness, turned)
-    near = eqx.filter_jit(find_near)(contact, around)
-    assert not np.any(near.overflow)
-    found = listed(near, contact.weights.shape[0])
-    assert len(found) > 100
-    assert found == sorted(set(found))
-    x, reach = np.asarray(around.x), np.asarray(around.reach)
-    assert all_pairs(contact, x, reach, -1e-9 * SIGMA) <= set(found)
+    contact, here = layers(level, roughness, turned)
+    pairs = found(contact, here)
+    assert not pairs.overflow
+    names = listed(pairs)
+    assert len(names) > 100
+    assert names == sorted(set(names))
+    x, skin = np.asarray(here.x), np.asarray(here.skin)
+    assert all_pairs(contact, x, skin, -1e-9 * SIGMA) <= set(names)
     # What lies beyond by less than rounding allows for may be in it.
-    assert set(found) <= all_pairs(contact, x, reach, 1e-4 * SIGMA)
+    assert set(names) <= all_pairs(contact, x, skin, 1e-4 * SIGMA)
 
 
-def held_active(contact, around, share):
+def held_active(contact, here, share):
     """The contact with what is active for a `share` of the motions that its list of sites is made for, from
     where some of the others have led to."""
-    contact = eqx.tree_at(lambda c: c.near, contact, eqx.filter_jit(find_near)(contact, around))
-    way = np.random.default_rng(4).normal(size=around.x.shape)
-    way *= 0.5 * (1 - share) * np.asarray(around.reach)[:, None] / np.linalg.norm(way, axis=1)[:, None]
-    small = Around(around.x + (way - way.mean(axis=0)), share * around.reach)
-    active = eqx.filter_jit(find_active)(contact, small)
-    return contact, eqx.tree_at(lambda c: c.active, contact, active, is_leaf=lambda leaf: leaf is None)
+    lists = contact.lists._replace(pairs=found(contact, here))
+    way = np.random.default_rng(4).normal(size=here.x.shape)
+    way *= 0.5 * (1 - share) * np.asarray(here.skin)[:, None] / np.linalg.norm(way, axis=1)[:, None]
+    small = Reference(here.x + (way - way.mean(axis=0)), share * here.skin)
+    active = eqx.filter_jit(find_active)(contact.contact, lists, small)
+    return [Bound(contact.contact, own) for own in (lists, lists._replace(active=active))]
 
 
 def test_what_is_active_interacts_as_the_whole_list_does():
-    contact, around = layers(3, 0.1, True, reach=(0.2, 0.4))
-    whole, part = held_active(contact, around, 0.1)
-    count, sites = int(part.active.count), contact.weights.shape[0]
-    assert 0 < count < 0.7 * int(whole.near.site_count)
-    picked = eqx.tree_at(
-        lambda near: (near.picked, near.site_count), whole.near, (part.active.picked, part.active.count)
-    )
-    known, rng, faces = set(listed(picked, sites)), np.random.default_rng(3), np.asarray(contact.faces)
+    contact, here = layers(3, 0.1, True, reach=(0.2, 0.4))
+    whole, part = held_active(contact, here, 0.1)
+    active, pairs = part.lists.active, whole.lists.pairs
+    assert 0 < int(active.count) < 0.7 * int(pairs.count)
+    known = set(listed(pairs, np.asarray(active.pairs)[: int(active.count)]))
+    rng, faces = np.random.default_rng(3), np.asarray(contact.contact.faces)
     force = eqx.filter_jit(lambda contact, x: contact.force(x))
     for _ in range(5):
-        way = rng.normal(size=around.x.shape)
-        way *= (0.08 * np.asarray(around.reach) / np.linalg.norm(way, axis=1))[:, None]
-        x = part.active.around.x + (way - way.mean(axis=0))
+        way = rng.normal(size=here.x.shape)
+        way *= (0.08 * np.asarray(here.skin) / np.linalg.norm(way, axis=1))[:, None]
+        x = active.reference.x + (way - way.mean(axis=0))
         touching = all_pairs(contact, np.asarray(x), np.zeros(len(x)), 0.0)
         assert len(touching) > 100
         assert touching <= known
         np.testing.assert_array_equal(force(part, x), force(whole, x))
         assert float(part.energy(x)) == float(whole.energy(x)) > 0
-    far = part.active.around.x.at[faces[0, 0], 2].add(0.3 * around.reach[faces[0, 0]])
+    far = active.reference.x.at[faces[0, 0], 2].add(0.3 * here.skin[faces[0, 0]])
     assert np.all(np.isfinite(force(whole, far)))
     assert np.all(np.isnan(force(part, far)))
 
 
 @pytest.mark.parametrize(("way", "crosses"), [(0.3, False), (0.55, True)])
 def test_what_is_active_touches_where_the_whole_list_does(way, crosses):
-    contact, around = layers(3, 0.0, False, reach=(0.6, 0.6))
-    whole, part = held_active(contact, around, 0.99)
+    contact, here = layers(3, 0.0, False, reach=(0.6, 0.6))
+    whole, part = held_active(contact, here, 0.99)
     # The middle layer and the upper one meet.
-    layer = np.round(np.asarray(around.x)[:, 2] / (GAP * SIGMA))
-    end = around.x.at[:, 2].add(-way * SIGMA * (layer - 0.5) * (layer >= 0) * 2)
+    layer = np.round(np.asarray(here.x)[:, 2] / (GAP * SIGMA))
+    end = here.x.at[:, 2].add(-way * SIGMA * (layer - 0.5) * (layer >= 0) * 2)
     for one in (whole, part):
-        assert bool(one.covers(end, around.x))
-        assert bool(one.crosses(around.x, end)) == crosses
-    assert int(part.active.doubted_count) > 0
+        assert bool(one.covers(end, here.x))
+        assert bool(one.crosses(here.x, end)) == crosses
+    assert int(part.lists.active.close_count) > 0
 
 
 def layer_energy(mesh, x, contact):
@@ -150,6 +155,7 @@ def test_places_beyond_32_bits_are_told_apart():
     mesh = strip(0.8 * sigma, columns=(2, 2), rows=2, step=step)
     x = folded(mesh, 0.8 * sigma, (2, 2))
     options = jc.SelfContact(range=sigma, level=359)
-    contact = jc.with_contacts(jc.sheet(mesh, jc.Material(thickness=1e-5), contact=options), x).contact
-    assert int(contact.near.needed[1]) * len(contact.share) > np.iinfo(np.int32).max
-    assert contact.energy(jnp.asarray(x)) == pytest.approx(layer_energy(mesh, x, contact), rel=1e-10)
+    scene = jc.with_contacts(jc.sheet(mesh, jc.Material(thickness=1e-5), contact=options), x)
+    contact = scene.contact
+    assert int(scene.lists.pairs.needed[1]) * len(contact.share) > np.iinfo(np.int32).max
+    assert bound(scene).energy(jnp.asarray(x)) == pytest.approx(layer_energy(mesh, x, contact), rel=1e-10)

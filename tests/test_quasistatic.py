@@ -222,7 +222,7 @@ def test_tangent_is_the_derivative_of_the_residual(damping):
         difference = (function(scene, step, x + eps * d)[0] - function(scene, step, x - eps * d)[0]) / (
             2 * eps
         )
-        product = np.asarray(scene.pattern.product(values, d.reshape(-1))).reshape(x.shape)
+        product = np.asarray(scene.sparsity.product(values, d.reshape(-1))).reshape(x.shape)
         error = np.abs(product - difference)[free].max() / np.abs(difference).max()
         assert error < 1e-6
 
@@ -233,7 +233,7 @@ def test_tangent_decouples_prescribed_components(damping):
     _, values = eqx.filter_jit(linearize)(scene, step, x)
     mask = np.asarray(scene.prescribed.mask)
     d = np.random.default_rng(9).normal(size=x.shape) * mask
-    product = np.asarray(scene.pattern.product(values, jnp.asarray(d).reshape(-1))).reshape(x.shape)
+    product = np.asarray(scene.sparsity.product(values, jnp.asarray(d).reshape(-1))).reshape(x.shape)
     np.testing.assert_allclose(product, d * constants(scene)[0], rtol=1e-12)
 
 

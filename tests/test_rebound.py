@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from contacts import bound
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
@@ -58,7 +59,7 @@ def bounce(scene, x, upper):
     """Time in s from the start to the return to the same gap, and the closest gap, by quadrature."""
     reduced = 0.25 * float(jnp.sum(scene.mass))
     near = jnp.asarray(x + np.where(upper, 0.95 * SIGMA, 0.0)[:, None] * np.array([0.0, 0.0, 1.0]))
-    contact = jc.with_contacts(scene, near).contact
+    contact = bound(jc.with_contacts(scene, near))
 
     @jax.jit
     def potential(gap):

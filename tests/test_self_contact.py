@@ -5,11 +5,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from contacts import Bound, bound
 from folded import brute_force, folded, strip
 from scipy.sparse.linalg import eigsh
 
 import jaxcrumple as jc
-from jaxcrumple.contact.energy import Contact
 from jaxcrumple.solvers.explicit.stability import fastest
 
 SIGMA, PARTS = 0.5e-3, 4
@@ -39,8 +39,8 @@ def test_energy_and_force_are_those_of_all_pairs_of_sites(gap):
     mesh, scene, x = layers(gap)
     energy, force = brute_force(mesh, np.asarray(x), float(scene.contact.stiffness), SIGMA, PARTS)
     assert energy > 0
-    assert abs(float(scene.contact.energy(x)) / energy - 1.0) < 1e-11
-    np.testing.assert_allclose(scene.contact.force(x), force, rtol=0, atol=1e-10 * np.abs(force).max())
+    assert abs(float(bound(scene).energy(x)) / energy - 1.0) < 1e-11
+    np.testing.assert_allclose(bound(scene).force(x), force, rtol=0, atol=1e-10 * np.abs(force).max())
 
 
 @pytest.mark.parametrize("half", [None, 18.0])
@@ -50,7 +50,7 @@ def test_force_is_minus_the_gradient_and_blocks_are_the_hessian(half):
         # Triangles that share a node touch.
         x = jnp.asarray(creased(mesh, half))
         scene = jc.with_contacts(scene, x)
-    contact = scene.contact
+    contact = bound(scene)
     size = float(jnp.max(jnp.abs(contact.force(x))))
     np.testing.assert_allclose(contact.force(x), -jax.grad(contact.energy)(x), rtol=0, atol=1e-12 * size)
     still = jc.initial_state(scene, x)
@@ -69,7 +69,7 @@ def test_force_is_minus_the_gradient_and_blocks_are_the_hessian(half):
 
 def test_net_force_and_torque_vanish():
     _, scene, x = layers()
-    force = np.asarray(scene.contact.force(x))
+    force = np.asarray(bound(scene).force(x))
     size = np.abs(force).sum()
     assert np.abs(force.sum(axis=0)).max() < 1e-13 * size
     assert np.abs(np.cross(x, force).sum(axis=0)).max() < 1e-13 * size * 0.02
@@ -81,12 +81,12 @@ def test_pressure_of_two_layers_does_not_depend_on_the_level(level):
     gap = 0.8
     mesh, scene, _ = layers(gap, level=level)
     x = folded(mesh, gap * SIGMA)
-    contact = jc.with_contacts(scene, x).contact
+    contact = bound(jc.with_contacts(scene, x))
     force = np.asarray(contact.force(jnp.asarray(x)))
     inner = (x[:, 0] > -7e-3) & (x[:, 0] < -2e-3) & (np.abs(x[:, 1]) < 1.2e-3) & (x[:, 2] > 0)
     pressure = force[inner, 2].sum() / mesh.node_area[inner].sum()
     density = 1.0 / (np.sqrt(3.0) / 2.0 * SIGMA**2)
-    stiffness, g = float(contact.stiffness), gap * SIGMA
+    stiffness, g = float(contact.contact.stiffness), gap * SIGMA
     energy = stiffness * SIGMA**2 * np.exp(SIGMA / (g - SIGMA))
     assert pressure == pytest.approx(2.0 * np.pi * density**2 * g * energy, rel=0.05)
 
@@ -95,8 +95,8 @@ def test_pressure_of_two_layers_does_not_depend_on_the_level(level):
 def test_neighbours_at_rest_never_interact_on_a_sharp_fold(half):
     mesh, scene, _ = layers()
     x = creased(mesh, half)
-    here = jc.with_contacts(scene, x).contact
-    energy, force = brute_force(mesh, x, float(here.stiffness), SIGMA, PARTS)
+    here = bound(jc.with_contacts(scene, x))
+    energy, force = brute_force(mesh, x, float(here.contact.stiffness), SIGMA, PARTS)
     # Sites SIGMA from the crease on both sides of it are 2 SIGMA apart at rest, and 2 SIGMA sin(half) now.
     assert (energy > 0) == (half < 30.0)
     assert float(here.energy(jnp.asarray(x))) == pytest.approx(energy, rel=1e-9)
@@ -107,16 +107,16 @@ def test_neighbours_at_rest_never_interact_on_a_sharp_fold(half):
 
 def test_derivatives_of_the_force_in_both_modes_and_in_batches():
     _, scene, x = layers()
-    contact = scene.contact
+    contact = bound(scene)
     w = jnp.sin(jnp.arange(x.size) * 1.7).reshape(x.shape)
 
     def work(stiffness, x):
-        return jnp.sum(w * eqx.tree_at(lambda c: c.stiffness, contact, stiffness).force(x))
+        return jnp.sum(w * eqx.tree_at(lambda c: c.contact.stiffness, contact, stiffness).force(x))
 
     def pushed(x):
         return jnp.sum(w * jax.grad(contact.energy)(x))
 
-    by_stiffness, by_x = jax.grad(work, (0, 1))(contact.stiffness, x)
+    by_stiffness, by_x = jax.grad(work, (0, 1))(contact.contact.stiffness, x)
     _, forward = jax.jvp(contact.force, (x,), (w,))
     assert float(by_stiffness) == pytest.approx(float(work(1.0, x)), rel=1e-12)
     # The Hessian is symmetric, so both modes give the same, as does that of the energy.
@@ -124,38 +124,38 @@ def test_derivatives_of_the_force_in_both_modes_and_in_batches():
     np.testing.assert_allclose(by_x, forward, rtol=0, atol=1e-12 * size)
     np.testing.assert_allclose(jax.grad(pushed)(x), -forward, rtol=0, atol=1e-11 * size)
     several = jnp.stack([x, x * (1.0 + 1e-6)])
-    each = [jax.grad(work, 1)(contact.stiffness, one) for one in several]
-    both = jax.vmap(jax.grad(work, 1), (None, 0))(contact.stiffness, several)
+    each = [jax.grad(work, 1)(contact.contact.stiffness, one) for one in several]
+    both = jax.vmap(jax.grad(work, 1), (None, 0))(contact.contact.stiffness, several)
     np.testing.assert_allclose(both, each, rtol=0, atol=1e-12 * size)
 
 
 def test_lists_that_do_not_hold_give_nan_not_zero():
     _, scene, x = layers()
     moved = x.at[0].add(2.0 * SIGMA)
-    assert np.isnan(scene.contact.energy(moved))
-    assert np.all(np.isnan(scene.contact.force(moved)))
+    assert np.isnan(bound(scene).energy(moved))
+    assert np.all(np.isnan(bound(scene).force(moved)))
     shifted = x + jnp.asarray([1.0, 2.0, 3.0])
-    assert float(scene.contact.energy(shifted)) == pytest.approx(float(scene.contact.energy(x)), rel=1e-6)
+    assert float(bound(scene).energy(shifted)) == pytest.approx(float(bound(scene).energy(x)), rel=1e-6)
 
 
 def test_barrier_is_infinite_before_layers_touch():
     _, scene, x = layers(0.9, potential="barrier", level=None)
-    assert 0 < float(scene.contact.energy(x)) < np.inf
+    assert 0 < float(bound(scene).energy(x)) < np.inf
     _, scene, x = layers(0.1, potential="barrier", level=None)
-    assert np.isinf(scene.contact.energy(x))
+    assert np.isinf(bound(scene).energy(x))
 
 
 def test_a_barrier_is_finite_where_a_fold_is_sharp():
     mesh, options = jc.hexagonal(9, 6, 1.1e-3), jc.SelfContact("barrier", range=SIGMA)
     x = jnp.asarray(creased(mesh, 18.0))
 
-    def contact_of(mesh: jc.Mesh) -> Contact:
+    def contact_of(mesh: jc.Mesh) -> Bound:
         scene = jc.sheet(mesh, jc.Material(thickness=0.3e-3), contact=options)
-        return jc.with_contacts(scene, x).contact
+        return bound(jc.with_contacts(scene, x))
 
     # Let the first pair of triangles share its third corner, so that its first pair of sites is one point.
-    faces, near = np.array(mesh.faces), contact_of(mesh).near
-    for one, two in np.asarray(near.triangles)[: int(near.pair_count)]:
+    faces, near = np.array(mesh.faces), contact_of(mesh).lists.pairs
+    for one, two in np.asarray(near.triangles)[: int(near.triangle_count)]:
         shared = set(faces[one]) & set(faces[two])
         if len(shared) == 1:
             break
@@ -164,8 +164,8 @@ def test_a_barrier_is_finite_where_a_fold_is_sharp():
     for k in range(2):
         faces[k] = np.roll(faces[k], 2 - list(faces[k]).index(*shared))
     contact = contact_of(jc.Mesh.from_arrays(mesh.vertices, faces, reorder=False))
-    assert list(contact.near.triangles[0]) == [0, 1]
-    assert int(contact.near.found[0]) == 0
+    assert list(contact.lists.pairs.triangles[0]) == [0, 1]
+    assert int(contact.lists.pairs.first[0]) == 0
     assert int(contact.gaps(x)[1]) % 256 > 0
     assert 0 < float(contact.energy(x)) < np.inf
     assert np.all(np.isfinite(contact.force(x)))
@@ -186,8 +186,8 @@ def test_a_sheet_whose_triangles_all_share_a_node_has_no_contact():
         state = jc.initial_state(scene, bent)
         if options is not None:
             listed = jc.with_contacts(scene, bent)
-            assert int(listed.contact.candidates.count) == 0
-            assert float(listed.contact.energy(state.x)) == 0.0
+            assert int(listed.lists.candidates.count) == 0
+            assert float(bound(listed).energy(state.x)) == 0.0
         relaxed.append(jc.relax(scene, state, force_tolerance=1e-9, linear="two-level"))
         assert bool(relaxed[-1].converged)
     # Each may have turned as a whole.
@@ -206,7 +206,7 @@ def test_stability_limit_of_layers_that_press_one_another(potential, level, gap,
     """Those next to a barrier's core are stiffer by far than the sheet alone; 0.98 of the way to each other
     8 % more."""
     _, scene, x = layers(gap, potential=potential, level=level)
-    assert int(scene.contact.gaps(x)[1]) > 100
+    assert int(bound(scene).gaps(x)[1]) > 100
     state = jc.initial_state(scene, x)
     matrix, mass = jc.tangent(scene, state), np.repeat(scene.mass, 3)
     scaled = matrix.multiply(mass[:, None] ** -0.5).multiply(mass**-0.5).tocsr()
@@ -219,7 +219,7 @@ def test_stability_limit_of_layers_that_press_one_another(potential, level, gap,
 def test_lists_have_the_room_that_is_asked_for_and_change_nothing():
     _, scene, x = layers()
     wider = jc.with_contacts(scene, x, needed=[3000, 100_000, 200_000, 100_000])
-    near = wider.contact.near
-    assert np.all(np.array(near.room) >= [3000, 100_000, 200_000])
-    assert wider.contact.candidates.triangles.shape[0] >= 100_000
-    assert float(wider.contact.energy(x)) == float(scene.contact.energy(x))
+    near = wider.lists.pairs
+    assert np.all(np.array(near.capacity) >= [3000, 100_000, 200_000])
+    assert wider.lists.candidates.triangles.shape[0] >= 100_000
+    assert float(bound(wider).energy(x)) == float(bound(scene).energy(x))

@@ -44,7 +44,7 @@ def system(kind, n):
     x = 1.02 * mesh.vertices + 5e-5 * np.sin(300 * mesh.vertices[:, [1, 2, 0]])
     values = eqx.filter_jit(elastic_tangent)(scene, jnp.asarray(x), None, jnp.asarray(0.0), 50 * SIGMA)
     rhs = jnp.asarray(np.random.default_rng(0).normal(size=3 * mesh.n_nodes))
-    return scene.pattern, values, rhs
+    return scene.sparsity, values, rhs
 
 
 @eqx.filter_jit
@@ -114,7 +114,7 @@ def test_iterations_hardly_grow_with_the_mesh_and_are_far_fewer():
         )
         rhs = jnp.asarray(np.random.default_rng(0).normal(size=3 * n))
         two, one = (
-            int(solve(s, scene.pattern, values, rhs, 1e-2)[1].iterations) for s in (TwoLevel(), BlockCG())
+            int(solve(s, scene.sparsity, values, rhs, 1e-2)[1].iterations) for s in (TwoLevel(), BlockCG())
         )
         assert 5 * two < one
         counts.append(two)
@@ -141,7 +141,7 @@ def test_rounding_is_not_taken_for_negative_curvature():
         scene, setup.x, scene.bending.rest_curvature, jnp.asarray(0.0), 1e-2
     )
     rhs = jnp.asarray(np.random.default_rng(0).normal(size=36))
-    negative, solution = solve(TwoLevel(), scene.pattern, values, rhs, 1e-6)
+    negative, solution = solve(TwoLevel(), scene.sparsity, values, rhs, 1e-6)
     assert (int(negative), bool(solution.indefinite)) == (-1, False)
     assert int(solution.iterations) < 20
 
@@ -165,7 +165,7 @@ def test_new_numbers_do_not_compile_again():
 def test_factorisations_wait_for_each_other():
     # Two batches of LAPACK calls at once hang a machine of two threads: the coarse one needs the blocks'.
     setup = radial(60, sweeps=5, contact=None)
-    pattern = setup.scene.pattern
+    pattern = setup.scene.sparsity
     solver = TwoLevel()
     factor = solver.start(pattern)
     jaxpr = jax.make_jaxpr(lambda values: solver.factor(pattern, values, factor))(factor.values)
@@ -191,7 +191,7 @@ def test_layers_that_press_one_another_are_not_taken_for_unstable(solver):
     scene = with_contacts(sheet(mesh, Material(thickness=3e-4, yield_curvature=None), contact=contact), x)
     creased = curvature(scene.bending.hinges(x).theta)
     scene = eqx.tree_at(lambda s: s.bending.rest_curvature, scene, creased)
-    pattern = scene.pattern
+    pattern = scene.sparsity
 
     def matrices(shift):
         values = eqx.filter_jit(elastic_tangent)(scene, x, None, jnp.asarray(0.0), shift)

@@ -2,7 +2,7 @@
 
 The pairs in contact change, so that their blocks are stored separately from the sheet's pattern, as a list of
 pairs of triangles. The blocks between nodes of the same triangle are part of the sheet's pattern. A direct
-solver needs all blocks in one matrix; `Merger` builds its structure on the host for a list of pairs.
+solver needs all blocks in one matrix; `Merger` builds its structure on the host (`MatrixPairs`).
 """
 
 import equinox as eqx
@@ -12,7 +12,7 @@ import scipy.sparse as sparse
 from jax import Array
 
 from jaxcrumple._jax.padded import accumulate
-from jaxcrumple.contact.lists import pair_key
+from jaxcrumple.contact.lists import MatrixPairs, SitePairs, pair_key
 
 # Values of a pair of triangles in the tangent: a 3x3 block for each node of the first and of the second.
 SIZE = 81
@@ -20,34 +20,25 @@ SIZE = 81
 CHUNK = 128
 
 
-class Merged(eqx.Module):
-    """Hold the structure of sheet and contact in one matrix of compressed sparse rows.
+class ContactBlocks(eqx.Module):
+    """Describe the blocks between the triangles in contact.
 
-    `indptr` (3n+1,); `indices` (room,), of which those after the last row are unused; `place` (nnz,): index
-    of the sheet's entries; `keys` (c,): sorted keys of pairs of triangles; `cross` (c, 81): index of the
-    entries of their blocks, or `room` for entries below the diagonal, which are dropped.
-    """
-
-    indptr: Array
-    indices: Array
-    place: Array
-    keys: Array
-    cross: Array
-
-
-class Cross(eqx.Module):
-    """Hold the blocks between triangles in contact.
-
-    - `face_blocks` (f, 6): index in the pattern of the blocks within a triangle, ordered as `upper_pairs(3)`.
     - `triangles` (t, 2), `nodes` (t, 6): pairs of triangles and their nodes; the first `count` are valid.
-    - `merged`: structure of the merged matrix, or None if the linear solver does not need it.
+    - `n_faces`: number of triangles of the sheet.
+    - `matrix`: structure of the matrix of sheet and contact, or None if the linear solver does not need it.
     """
 
-    face_blocks: Array
     triangles: Array
     nodes: Array
     count: Array
-    merged: Merged | None
+    matrix: MatrixPairs | None
+    n_faces: int = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, pairs: SitePairs, faces: Array, matrix: MatrixPairs | None) -> "ContactBlocks":
+        """Return the blocks of the listed `pairs` of the triangles `faces` (f, 3)."""
+        nodes = faces[pairs.triangles].reshape(-1, 6)
+        return cls(pairs.triangles, nodes, pairs.triangle_count, matrix, faces.shape[0])
 
     @property
     def size(self) -> int:
@@ -57,9 +48,9 @@ class Cross(eqx.Module):
     def product(self, appended: Array, x: Array) -> Array:
         """Multiply the blocks in the appended values (81 t + n,) by a vector (3n,)."""
 
-        def add(total: Array, arguments: tuple["Cross", Array, Array], at: Array, held: Array) -> Array:
-            cross, blocks, points = arguments
-            blocks, nodes = _kept(blocks[at], held), cross.nodes[at]
+        def add(total: Array, arguments: tuple["ContactBlocks", Array, Array], at: Array, held: Array):
+            contact, blocks, points = arguments
+            blocks, nodes = _kept(blocks[at], held), contact.nodes[at]
             one, two = nodes[:, :3], nodes[:, 3:]
             first = jnp.einsum("tijab,tjb->tia", blocks, points[two])
             second = jnp.einsum("tijab,tia->tjb", blocks, points[one])
@@ -93,37 +84,37 @@ class Cross(eqx.Module):
         return sparse.csr_array(sparse.triu(matrix + matrix.T))
 
     def merge(self, own: Array, appended: Array) -> Array:
-        """Compute the values (room,) of the merged matrix."""
-        assert self.merged is not None
-        merged = self.merged
-        values = jnp.zeros(merged.indices.shape[0], own.dtype).at[merged.place].set(own)
+        """Compute the values (e,) of the matrix of sheet and contact."""
+        assert self.matrix is not None
+        matrix = self.matrix
+        values = jnp.zeros(matrix.indices.shape[0], own.dtype).at[matrix.place].set(own)
 
-        def add(total: Array, arguments: tuple["Cross", Merged, Array], at: Array, held: Array) -> Array:
-            cross, merged, blocks = arguments
-            nodes = cross.nodes[at]
+        def add(total: Array, arguments: tuple["ContactBlocks", MatrixPairs, Array], at: Array, held: Array):
+            contact, matrix, blocks = arguments
+            nodes = contact.nodes[at]
             twice = nodes[:, :3, None] == nodes[:, None, 3:]
             # At a shared node both a block and its transpose fall on the same diagonal block.
             factor = jnp.where(twice, 2.0, 1.0)[..., None, None]
-            entries = merged.cross[cross._rows(merged, at)]
+            entries = matrix.entries[contact._rows(matrix, at)]
             return total.at[entries].add((_kept(blocks[at], held) * factor).reshape(-1, SIZE), mode="drop")
 
-        arguments = (self, merged, self._blocks(appended))
+        arguments = (self, matrix, self._blocks(appended))
         return accumulate(add, values, arguments, self.count, self.triangles.shape[0], CHUNK)
 
     def placed(self) -> Array:
-        """Return whether all pairs have entries in the merged matrix; True without such a matrix."""
-        if self.merged is None:
+        """Return whether all pairs have entries in that matrix; True without such a matrix."""
+        if self.matrix is None:
             return jnp.asarray(True)
         at = jnp.arange(self.triangles.shape[0])
-        found = self.merged.keys[self._rows(self.merged, at)] == self._keys(at)
+        found = self.matrix.keys[self._rows(self.matrix, at)] == self._keys(at)
         return jnp.all(found | (at >= self.count))
 
-    def _rows(self, merged: Merged, at: Array) -> Array:
-        """Return the rows in `merged.keys` of the pairs `at` (c,); meaningless for pairs without entries."""
-        return jnp.minimum(jnp.searchsorted(merged.keys, self._keys(at)), merged.keys.shape[0] - 1)
+    def _rows(self, matrix: MatrixPairs, at: Array) -> Array:
+        """Return the rows in `matrix.keys` of the pairs `at` (c,); meaningless for pairs without entries."""
+        return jnp.minimum(jnp.searchsorted(matrix.keys, self._keys(at)), matrix.keys.shape[0] - 1)
 
     def _keys(self, at: Array) -> Array:
-        return pair_key(self.triangles[at], self.face_blocks.shape[0])
+        return pair_key(self.triangles[at], self.n_faces)
 
     def _blocks(self, appended: Array) -> Array:
         """Reshape appended values to blocks (t, 3, 3, 3, 3): pair, node of the first and of the second

@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxcrumple._jax.memory import require, require_indices
-from jaxcrumple.assembly.contact_blocks import SIZE, Merged
+from jaxcrumple.assembly.contact_blocks import SIZE
 from jaxcrumple.assembly.sparsity import Pattern, scalar_entries
-from jaxcrumple.contact.lists import NONE, SOON, doubled, pair_key
+from jaxcrumple.contact.lists import NONE, SOON, MatrixPairs, doubled, pair_key
 
 # Bytes of an entry of a pair of triangles.
 BYTES = 8.0
@@ -28,7 +28,7 @@ class Merger:
         # Entries are numbered by scalar rows, so that the entries of a block are not adjacent.
         self.order = entries.reshape(-1)[self.upper]
 
-    def merge(self, triangles: np.ndarray, capacity: int, spare: float = 1.0) -> Merged:
+    def merge(self, triangles: np.ndarray, capacity: int, spare: float = 1.0) -> MatrixPairs:
         """Build the structure for the sorted pairs `triangles` (c, 2), with room for `capacity` pairs.
 
         If `spare` times the pairs, or the entries that they add, exceed the capacity, it is doubled until it
@@ -65,4 +65,4 @@ class Merger:
         # NumPy, because JAX would compile this for every number of pairs.
         pairs[: len(triangles)] = pair_key(triangles, len(self.faces))
         arrays = (indptr, indices[:-1], place, pairs, cross)
-        return Merged(*map(jnp.asarray, arrays))
+        return MatrixPairs(*map(jnp.asarray, arrays))

@@ -9,7 +9,7 @@ from jax import Array
 
 from jaxcrumple._jax.memory import require, require_indices
 from jaxcrumple.assembly.coarse_space import CoarseSpace, build_coarse_space
-from jaxcrumple.assembly.contact_blocks import Cross
+from jaxcrumple.assembly.contact_blocks import ContactBlocks
 from jaxcrumple.model.elements import upper_pairs
 
 # Bytes for each entry of the tangent during the construction of the pattern.
@@ -31,8 +31,9 @@ class Pattern(eqx.Module):
     - `neighbors` (n, k): block columns of each node's row, both triangles, padded with the node itself.
     - `row_entries` (n, 3, 3k): index of each entry of these blocks, `nnz` for padding.
     - `coarse`: smooth coarse space over the nodes, for two-level solvers.
-    - `contact`: blocks between triangles in contact, or None. Their values follow the `nnz` values of the
-      sheet; a diagonal (n,) follows them, see `separate`.
+    - `face_blocks` (f, 6): blocks within each triangle, ordered as `upper_pairs(3)`; None without contact.
+    - `contact`: blocks between the triangles in contact, or None without contact lists. Their values follow
+      the `nnz` values of the sheet; a diagonal (n,) follows them, see `separate`.
     """
 
     indptr: Array
@@ -46,7 +47,8 @@ class Pattern(eqx.Module):
     neighbors: Array
     row_entries: Array
     coarse: CoarseSpace
-    contact: Cross | None = None
+    face_blocks: Array | None = None
+    contact: ContactBlocks | None = None
 
     @property
     def nnz(self) -> int:
@@ -151,7 +153,7 @@ def build_pattern(
         tuple(device(locate(p)) for p in pairs), tuple(jnp.asarray(p[..., 0] > p[..., 1]) for p in pairs),
         device(neighbors), device(row_entries),
         build_coarse_space(rest, np.stack([block_row, block_col], axis=1)),
-        None if faces is None else _no_contact(locate, np.asarray(faces)),
+        None if faces is None else device(locate(np.asarray(faces)[:, np.array(upper_pairs(3))])),
     )  # fmt: skip
 
 
@@ -165,13 +167,6 @@ def _check_size(n: int, block_row: np.ndarray, block_col: np.ndarray) -> None:
     cure = f"{fewer}, or remesh around node {node}, which is coupled to {int(longest)} nodes"
     require_indices(9.0 * len(block_row), what, cure)
     require(ENTRY * 9.0 * len(block_row) + 16.0 * 9.0 * n * longest, what, cure)
-
-
-def _no_contact(locate, faces: np.ndarray) -> Cross:
-    """Return contact blocks without pairs."""
-    blocks = locate(faces[:, np.array(upper_pairs(3))])
-    two, six = jnp.zeros((1, 2), jnp.int32), jnp.zeros((1, 6), jnp.int32)
-    return Cross(jnp.asarray(blocks.astype(np.int32)), two, six, jnp.asarray(0), None)
 
 
 def _global_pairs(stencil: np.ndarray) -> np.ndarray:

@@ -1,141 +1,109 @@
-"""The active set: the site pairs that interact now, and the pairs of triangles that may touch.
-
-This is the third tier, below the two of `jaxcrumple.contact.lists`. A list of site pairs is valid for dozens
-of explicit steps, but most of its pairs are out of range in each of them. `Active` keeps only the pairs that
-may come within range in the next steps.
-"""
+"""Select the site pairs that interact now, and the pairs of triangles that may touch."""
 
 from functools import reduce
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxcrumple._jax.padded import compacted
-from jaxcrumple.contact.lists import Around, Near, Room, nowhere, place_type, split
+from jaxcrumple.contact.lists import ActiveSet, ContactLists, Reference, SitePairs
+from jaxcrumple.contact.parameters import Contact
 from jaxcrumple.geometry.hinge import add, dot, gather, scale
-
-if TYPE_CHECKING:
-    from jaxcrumple.contact.energy import Contact
 
 # Offset of squared distances of sites in m2 against a zero root, far below any squared distance that matters.
 TINY = 1e-30
-# Factor on the distances for the tangent of `Contact.nearer_product`: the stability limit that follows from
-# it must remain valid while sites approach further.
-CLOSER = 0.98
 # Pairs per chunk: site pairs in the test of listed distances and of current distances, pairs of triangles.
 LISTED, SIFTED, TRIANGLES = 4096, 1024, 1024
 
 
-class Active(eqx.Module):
-    """Hold the part of a `Near` list that matters for the small motions `around`, for which `Near` is valid.
-
-    `picked` (P,): site pairs as in `Near.picked`; the first `count` may interact; `count` is -1 before the
-    pairs are found. `doubted` (T,): places of pairs of triangles in `Near.triangles`; the first
-    `doubted_count` may touch.
-    """
-
-    picked: Array
-    count: Array
-    doubted: Array
-    doubted_count: Array
-    around: Around
-
-
-def no_active(n: int, sites: int, room: Room) -> Active:
-    """Return an empty active set, marked as not yet found, for `n` nodes and `sites` sites per triangle."""
-    picked = jnp.zeros(room.pairs, place_type(room.sites * sites))
-    doubted, zero = jnp.zeros(room.triangles, jnp.int32), jnp.asarray(0, int)
-    return Active(picked, jnp.asarray(-1, int), doubted, zero, nowhere(n))
-
-
-def find_active(contact: "Contact", around: Around) -> Active:
-    """Find the pairs that may interact or touch within the motions `around`, which `contact.near` covers."""
-    contact, around = jax.lax.stop_gradient((contact, around))
-    near, faces = contact.near, contact.faces
-    moves = near.nearer(faces, around.reach)
+def find_active(contact: Contact, lists: ContactLists, reference: Reference) -> ActiveSet:
+    """Find the pairs that may interact or touch within motions `reference`, which `lists.pairs` covers."""
+    contact, pairs, reference = jax.lax.stop_gradient((contact, lists.pairs, reference))
+    moves = pairs.approach_of(contact.faces, reference.skin)
     limit = contact.range + moves
-    picked, count = _sifted(contact, around.x, _roughly(contact, around.x, limit), limit)
-    doubted = _within(near, near.moved(faces, around.x) + moves)
-    return Active(picked, count, *doubted, around)
+    rough = _roughly(contact, pairs, reference.x, limit)
+    places, count = _sifted(contact, pairs, reference.x, rough, limit)
+    close = _within(pairs, pairs.approach(contact.faces, reference.x) + moves)
+    return ActiveSet(reference, places, count, *close)
 
 
-def likely(contact: "Contact", x: Array) -> tuple[Array, Array]:
+def likely(contact: Contact, lists: ContactLists, x: Array) -> tuple[Array, Array]:
     """Return a superset (P,) of the site pairs that interact at positions `x` (n, 3), and its size.
 
-    Entries are those of `Near.picked`. An active set, if present, is returned as it is.
+    Entries are places in `lists.pairs`. An active set, if present, is returned as it is.
     """
-    if contact.active is not None:
-        return contact.active.picked, contact.active.count
-    return _roughly(contact, x, contact.range)
+    if lists.active is not None:
+        return lists.active.pairs, lists.active.count
+    return _roughly(contact, lists.pairs, x, contact.range)
 
 
-def interacting(contact: "Contact", x: Array, nearer: float = 1.0) -> tuple[Array, Array]:
+def interacting(contact: Contact, lists: ContactLists, x: Array, nearer: float = 1.0) -> tuple[Array, Array]:
     """Return the site pairs (P,) that interact at positions `x` (n, 3), and how many there are.
 
     `nearer` multiplies the distances. The result does not depend on when the lists were built.
     """
     limit = contact.range / nearer
-    rough = likely(contact, x) if nearer == 1.0 else _roughly(contact, x, limit)
-    return _sifted(contact, x, rough, limit)
+    rough = likely(contact, lists, x) if nearer == 1.0 else _roughly(contact, lists.pairs, x, limit)
+    return _sifted(contact, lists.pairs, x, rough, limit)
 
 
-def may_touch(contact: "Contact", *positions: Array) -> tuple[Array, Array]:
+def may_touch(contact: Contact, lists: ContactLists, *positions: Array) -> tuple[Array, Array]:
     """Return a superset (T,) of the pairs of triangles that may touch, and its size.
 
-    Nodes move between `positions` (n, 3). Entries are places in `Near.triangles`.
+    Nodes move between `positions` (n, 3). Entries are places in `SitePairs.triangles`.
     """
-    if contact.active is not None:
-        return contact.active.doubted, contact.active.doubted_count
-    return _within(contact.near, contact.near.moved(contact.faces, *positions))
+    if lists.active is not None:
+        return lists.active.close, lists.active.close_count
+    return _within(lists.pairs, lists.pairs.approach(contact.faces, *positions))
 
 
-def _within(near: Near, moves: Array) -> tuple[Array, Array]:
+def _within(pairs: SitePairs, moves: Array) -> tuple[Array, Array]:
     """Return the places (T,) of pairs of triangles that may touch if they approach by `moves` (T,) m, and how
     many there are."""
     return compacted(
-        lambda at: (near.distance[at] <= moves[at])[:, None],
-        near.pair_count, 1, near.room.triangles, TRIANGLES,
+        lambda at: (pairs.distance[at] <= moves[at])[:, None],
+        pairs.triangle_count, 1, pairs.capacity.triangles, TRIANGLES,
     )  # fmt: skip
 
 
-def _roughly(contact: "Contact", x: Array, limit: Array) -> tuple[Array, Array]:
+def _roughly(contact: Contact, pairs: SitePairs, x: Array, limit: Array) -> tuple[Array, Array]:
     """Return the site pairs that may be closer than `limit` in m, () or (T,), at positions `x` (n, 3).
 
     The bound uses the distances at the last rebuild and how far the triangles have moved since. It rejects
     nine pairs in ten without computing their current distance.
     """
-    contact, x, limit = jax.lax.stop_gradient((contact, x, limit))
-    near = contact.near
-    reach = limit + near.moved(contact.faces, x)
+    contact, pairs, x, limit = jax.lax.stop_gradient((contact, pairs, x, limit))
+    reach = limit + pairs.approach(contact.faces, x)
 
     def may(at: Array) -> Array:
-        return (near.apart[at] < reach[near.owner[at]])[:, None]
+        return (pairs.apart[at] < reach[pairs.owner[at]])[:, None]
 
-    return compacted(may, near.site_count, 1, near.room.pairs, LISTED, lambda at: near.picked[at])
+    return compacted(may, pairs.count, 1, pairs.capacity.pairs, LISTED)
 
 
-def _sifted(contact: "Contact", x: Array, rough: tuple[Array, Array], limit: Array) -> tuple[Array, Array]:
+def _sifted(
+    contact: Contact, pairs: SitePairs, x: Array, rough: tuple[Array, Array], limit: Array
+) -> tuple[Array, Array]:
     """Return the pairs of `rough` that are closer than `limit` by their current distance."""
-    contact, x, limit = jax.lax.stop_gradient((contact, x, limit))
-    picked, count = rough
+    contact, pairs, x, limit = jax.lax.stop_gradient((contact, pairs, x, limit))
+    places, count = rough
 
     def close(at: Array) -> Array:
-        pairs = site_pairs(contact, picked[at], jnp.ones_like(at, bool))
-        most = limit if limit.ndim == 0 else limit[pairs.owner]
-        return (separation(pairs, x)[1] < most)[:, None]
+        terms = pair_terms(contact, pairs, places[at], jnp.ones_like(at, bool))
+        most = limit if limit.ndim == 0 else limit[terms.owner]
+        return (separation(terms, x)[1] < most)[:, None]
 
-    return compacted(close, count, 1, contact.near.room.pairs, SIFTED, lambda at: picked[at])
+    return compacted(close, count, 1, pairs.capacity.pairs, SIFTED, lambda at: places[at])
 
 
-class SitePairs(NamedTuple):
-    """Hold p site pairs.
+class PairTerms(NamedTuple):
+    """Hold what the energy of p site pairs depends on.
 
     `nodes` (p, 6): of the two triangles; `weights` (p, 6): of these nodes in $r_{12}$; `strength` (p,):
     product of the two site areas over $a_0^2$, or 0 for an unused entry; `owner` (p,): place in
-    `Near.triangles`.
+    `SitePairs.triangles`.
     """
 
     nodes: Array
@@ -144,30 +112,28 @@ class SitePairs(NamedTuple):
     owner: Array
 
 
-def site_pairs(contact: "Contact", picked: Array, held: Array) -> SitePairs:
-    """Return the site pairs `picked` (p,), entries of `Near.picked`; those not `held` (p,) get strength 0."""
-    near, sites = contact.near, contact.weights.shape[0]
-    at, other = split(picked, sites)
-    owner, site = split(near.found[at], sites)
-    triangles = near.triangles[owner]
+def pair_terms(contact: Contact, pairs: SitePairs, places: Array, held: Array) -> PairTerms:
+    """Return the terms of the site pairs at `places` (p,); those not `held` (p,) get strength 0."""
+    owner, first, second = (part[places] for part in (pairs.owner, pairs.first, pairs.second))
+    triangles = pairs.triangles[owner]
     columns = [contact.faces[:, k][triangles[:, side]] for side in range(2) for k in range(3)]
     nodes = jnp.stack(columns, axis=1)
-    shares = [share * contact.weights[:, k][at] for share, at in ((1, site), (-1, other)) for k in range(3)]
+    shares = [sign * contact.weights[:, k][at] for sign, at in ((1, first), (-1, second)) for k in range(3)]
     weights = jnp.stack(shares, axis=1)
-    one = contact.share[site] * contact.density[triangles[:, 0], contact.place[site]]
-    two = contact.share[other] * contact.density[triangles[:, 1], contact.place[other]]
-    return SitePairs(nodes, weights, jnp.where(held, one * two, 0.0), owner)
+    one = contact.share[first] * contact.density[triangles[:, 0], contact.place[first]]
+    two = contact.share[second] * contact.density[triangles[:, 1], contact.place[second]]
+    return PairTerms(nodes, weights, jnp.where(held, one * two, 0.0), owner)
 
 
-def separation(pairs: SitePairs, x: Array) -> tuple[Array, Array]:
+def separation(terms: PairTerms, x: Array) -> tuple[Array, Array]:
     """Return $r_{12}$ (p, 3) of (26) in m and its length (p,)."""
-    corners = gather(x, pairs.nodes)
-    parts = [scale(pairs.weights[:, k], corner) for k, corner in enumerate(corners)]
+    corners = gather(x, terms.nodes)
+    parts = [scale(terms.weights[:, k], corner) for k, corner in enumerate(corners)]
     r = reduce(add, parts)
     return jnp.stack(r, axis=1), jnp.sqrt(dot(r, r) + TINY)
 
 
-def with_push(forces: Array, pairs: SitePairs, push: Array) -> Array:
+def with_push(forces: Array, terms: PairTerms, push: Array) -> Array:
     """Add to nodal `forces` (n, 3) the force `push` (p, 3) on the first site of each pair and its reaction on
     the second."""
-    return forces.at[pairs.nodes].add(pairs.weights[:, :, None] * push[:, None])
+    return forces.at[terms.nodes].add(terms.weights[:, :, None] * push[:, None])

@@ -16,8 +16,8 @@ from jax import Array
 
 from jaxcrumple._jax.padded import compacted, counted
 from jaxcrumple.contact.adjacency import LISTED_TURN, largest_turn
-from jaxcrumple.contact.energy import Contact
-from jaxcrumple.contact.lists import EXCLUSION, NONE, Around, Candidates, pair_key
+from jaxcrumple.contact.lists import EXCLUSION, NONE, CandidatePairs, Reference, pair_key
+from jaxcrumple.contact.parameters import Contact
 from jaxcrumple.geometry.distance import TINY, boxes, boxes_meet
 from jaxcrumple.geometry.hinge import Vec, add, cross, dot, gather, sub
 
@@ -57,38 +57,36 @@ class _Grid(NamedTuple):
         return self.owner[run], partner
 
 
-def find_candidates(contact: Contact, theta: Array, around: Around) -> Candidates:
-    """Find the pairs of triangles that may come within the range during the motions `around`.
+def find_candidates(contact: Contact, theta: Array, reference: Reference, capacity: int) -> CandidatePairs:
+    """Find the pairs of triangles that may come within the range during the motions `reference`.
 
-    `theta` (h,): hinge angles in rad at `around.x`. The list has the capacity of `contact.candidates`. If its
-    `count` is above the capacity, the list has overflowed and is not valid.
+    `theta` (h,): hinge angles in rad at `reference.x`. Test the `overflow` of the result.
     """
-    room = contact.candidates.triangles.shape[0]
     turning = contact.fans.turning(theta)
     folded = turning > LISTED_TURN
-    apart, count = _apart(contact, around, room)
+    apart, count = _apart(contact, reference, capacity)
     n_faces = contact.faces.shape[0]
     ways = contact.fans.triangles
-    sharp, ways_count = compacted(lambda at: folded[at][:, None], jnp.asarray(len(ways)), 1, room, ROUGH)
+    sharp, ways_count = compacted(lambda at: folded[at][:, None], jnp.asarray(len(ways)), 1, capacity, ROUGH)
     parts = ((apart, count), (pair_key(ways[sharp], n_faces), ways_count))
-    keys = jnp.sort(jnp.concatenate([jnp.where(jnp.arange(room) < m, key, NONE) for key, m in parts]))
+    keys = jnp.sort(jnp.concatenate([jnp.where(jnp.arange(capacity) < m, key, NONE) for key, m in parts]))
     # A pair may appear several times: it has two ways around a shared node, and may share two nodes.
     fresh = (keys < NONE) & (keys != jnp.roll(keys, 1))
     size = jnp.asarray(keys.shape[0])
-    kept, fitted = compacted(lambda at: fresh[at][:, None], size, 1, room, ROUGH, lambda at: keys[at])
+    kept, fitted = compacted(lambda at: fresh[at][:, None], size, 1, capacity, ROUGH, lambda at: keys[at])
     triangles = jnp.stack([kept // n_faces, kept % n_faces], axis=1).astype(jnp.int32)
     # There are more ways than pairs, so the number of ways decides only after an overflow.
     needed = jnp.maximum(count, ways_count)
-    count = jnp.where(needed > room, needed, fitted)
-    return Candidates(triangles, count, around, folded, theta, largest_turn(turning, folded))
+    count = jnp.where(needed > capacity, needed, fitted)
+    return CandidatePairs(reference, triangles, count, folded, theta, largest_turn(turning, folded))
 
 
-def _apart(contact: Contact, around: Around, room: int) -> tuple[Array, Array]:
-    """Find the pairs that share no node: return their keys (room,) and how many there are."""
-    faces, n_faces, x = contact.faces, contact.faces.shape[0], around.x
+def _apart(contact: Contact, reference: Reference, capacity: int) -> tuple[Array, Array]:
+    """Find the pairs that share no node: return their keys (capacity,) and how many there are."""
+    faces, n_faces, x = contact.faces, contact.faces.shape[0], reference.x
     corners = x[faces]
     center = jnp.mean(corners, axis=1)
-    extent = jnp.max(around.reach[faces], axis=1)
+    extent = jnp.max(reference.skin[faces], axis=1)
     radius = extent + jnp.sqrt(jnp.max(jnp.sum((corners - center[:, None]) ** 2, axis=2), axis=1))
     grid = _sorted(center, contact.range + 2.0 * jnp.max(radius))
     # Sort boxes and faces like the grid, to avoid an indirect access through `order` for every pair.
@@ -110,7 +108,7 @@ def _apart(contact: Contact, around: Around, room: int) -> tuple[Array, Array]:
         one, two = grid.places(pair)
         return one.astype(jnp.int64) * n_faces + two
 
-    found, count = compacted(meets, grid.pairs, 1, room, ROUGH, both)
+    found, count = compacted(meets, grid.pairs, 1, capacity, ROUGH, both)
     first, second = grid.order[found // n_faces], grid.order[found % n_faces]
     ordered = jnp.stack([jnp.minimum(first, second), jnp.maximum(first, second)], axis=1)
     return pair_key(ordered, n_faces), count

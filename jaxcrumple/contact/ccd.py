@@ -3,20 +3,16 @@
 Zhang et al., ACM TOG 25, 2006; Li et al., 2021.
 """
 
-from typing import TYPE_CHECKING
-
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxcrumple._jax.padded import accumulate
 from jaxcrumple.contact.active_set import may_touch
-from jaxcrumple.contact.lists import motion
+from jaxcrumple.contact.lists import ContactLists, motion
+from jaxcrumple.contact.parameters import Contact
 from jaxcrumple.geometry.distance import primitive_distances, shared_parts
 from jaxcrumple.geometry.hinge import Vec, add, dot, gather, scale, sub
-
-if TYPE_CHECKING:
-    from jaxcrumple.contact.energy import Contact
 
 # Parts of the sheet count as touching when their distance falls to this share of its start value, or of the
 # range if that is less. An advance leaves at least half of this distance.
@@ -27,29 +23,31 @@ ADVANCES = 64
 DOUBTED = 64
 
 
-def crosses(contact: "Contact", start: Array, end: Array) -> Array:
+def crosses(contact: Contact, lists: ContactLists, start: Array, end: Array) -> Array:
     """Return whether parts of the sheet might touch while nodes move straight from `start` to `end` (n, 3).
 
     The test is conservative: it misses no contact, but may report one that does not occur. The lists must be
     valid for both positions. For two triangles that share a node, it tests the parts that do not share it.
     """
-    near = contact.near
-    if contact.active is not None:
-        return _pairs_cross(contact, start, end)
-    listed = jnp.arange(near.distance.shape[0]) < near.pair_count
-    nearest = jnp.min(jnp.where(listed, near.distance, jnp.inf))
-    furthest = jnp.max(jnp.maximum(*(motion(near.around.x, x) for x in (start, end))))
+    if lists.active is not None:
+        return _pairs_cross(contact, lists, start, end)
+    pairs = lists.pairs
+    listed = jnp.arange(pairs.distance.shape[0]) < pairs.triangle_count
+    nearest = jnp.min(jnp.where(listed, pairs.distance, jnp.inf))
+    furthest = jnp.max(jnp.maximum(*(motion(pairs.reference.x, x) for x in (start, end))))
     # This global bound usually suffices.
     return jax.lax.cond(
-        2.0 * furthest < nearest, lambda: jnp.asarray(False), lambda: _pairs_cross(contact, start, end)
+        2.0 * furthest < nearest,
+        lambda: jnp.asarray(False),
+        lambda: _pairs_cross(contact, lists, start, end),
     )
 
 
-def _pairs_cross(contact: "Contact", start: Array, end: Array) -> Array:
+def _pairs_cross(contact: Contact, lists: ContactLists, start: Array, end: Array) -> Array:
     """Return the same as `crosses`, from a test of each pair that may touch."""
-    near = contact.near
-    places, count = may_touch(contact, start, end)
-    moves = jnp.maximum(*(motion(near.around.x, x) for x in (start, end)))
+    pairs = lists.pairs
+    places, count = may_touch(contact, lists, start, end)
+    moves = jnp.maximum(*(motion(pairs.reference.x, x) for x in (start, end)))
 
     def add(touched: Array, arguments: tuple[Array, ...], at: Array, held: Array) -> Array:
         start, way, moves, distance, triangles, faces, places = arguments
@@ -61,8 +59,8 @@ def _pairs_cross(contact: "Contact", start: Array, end: Array) -> Array:
         parts, steps = ((gather(x, first), gather(x, second)) for x in (start, way))
         return touched | jnp.any(touches(parts, steps, shared_parts(first, second), contact.range, asked))
 
-    arguments = start, end - start, moves, near.distance, near.triangles, contact.faces, places
-    return accumulate(add, jnp.asarray(False), arguments, count, near.room.triangles, DOUBTED)
+    arguments = start, end - start, moves, pairs.distance, pairs.triangles, contact.faces, places
+    return accumulate(add, jnp.asarray(False), arguments, count, pairs.capacity.triangles, DOUBTED)
 
 
 Corners = tuple[tuple[Vec, ...], tuple[Vec, ...]]

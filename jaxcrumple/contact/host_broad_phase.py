@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from jaxcrumple.contact.adjacency import LISTED_TURN, Fans
-from jaxcrumple.contact.energy import Contact
 from jaxcrumple.contact.lists import EXCLUSION
+from jaxcrumple.contact.parameters import Contact
 
 # Share of the triangles, those with the largest skin, whose partners are searched one by one. One common
 # search radius for all triangles would otherwise find too many pairs.
@@ -34,28 +34,28 @@ class Search:
         self.sharing = pairs[:, 0].astype(np.int64) * len(self.faces) + pairs[:, 1]
 
     def find(
-        self, x: np.ndarray, reach: np.ndarray, turn: float = LISTED_TURN
+        self, x: np.ndarray, skin: np.ndarray, turn: float = LISTED_TURN
     ) -> tuple[np.ndarray, np.ndarray]:
         """Find the candidate pairs at positions `x` (n, 3) in m.
 
         These are the pairs without a common node that may come within the range while each node moves up to
-        its skin `reach` (n,) in m, and the pairs at a node whose way turns by more than `turn` in rad.
+        its `skin` (n,) in m, and the pairs at a node whose way turns by more than `turn` in rad.
 
         **Returns:** the sorted pairs (c, 2), and which ways (w,) of `Fans` turn by more than `turn`.
         """
         folded = self._folded(x, turn)
         pairs = self.fan_triangles[folded].astype(np.int64)
         at_nodes = pairs[:, 0] * len(self.faces) + pairs[:, 1]
-        keys = np.unique(np.concatenate([self._apart(x, reach), at_nodes]))
+        keys = np.unique(np.concatenate([self._apart(x, skin), at_nodes]))
         return np.stack([keys // len(self.faces), keys % len(self.faces)], axis=1), folded
 
-    def _apart(self, x: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    def _apart(self, x: np.ndarray, skin: np.ndarray) -> np.ndarray:
         """Return the keys of the candidate pairs that share no node."""
         corners = x[self.faces]
         center = corners.mean(axis=1)
         offset = corners - center[:, None]
         radius = np.sqrt(_largest(np.einsum("fkj,fkj->fk", offset, offset)))
-        room = _largest(reach[self.faces])
+        room = _largest(skin[self.faces])
         pairs = _tree_pairs(center, radius, room, self.sigma)
         key = pairs[:, 0] * len(self.faces) + pairs[:, 1]
         fresh = self.sharing[np.minimum(np.searchsorted(self.sharing, key), len(self.sharing) - 1)] != key

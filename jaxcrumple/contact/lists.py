@@ -1,11 +1,13 @@
-"""Neighbour lists with a skin: candidate pairs of triangles, and the site pairs among them.
+"""Neighbour lists with a skin (Verlet lists), in four tiers.
 
-There are two tiers here, and a third one in `jaxcrumple.contact.active_set`. `Candidates` holds the pairs of
-triangles that may come within the contact range while no node moves further than its skin, `reach`, which
-covers many steps. `Near` holds the pairs that may do so within a few steps, with their site pairs. Motion
-counts from the positions at which a list was built, without the mean motion of the sheet, which changes no
-distance. The lists are ordered, and pairs that do not interact add exact zeros. Results therefore do not
-depend on when a list was built.
+`CandidatePairs` holds the pairs of triangles that may come within the contact range while no node moves
+further than its skin, which covers many steps. `SitePairs` holds those that may do so within a few steps,
+with their site pairs. `ActiveSet` holds the site pairs that may interact in the next explicit steps.
+`MatrixPairs` holds the pairs of triangles that have entries in the matrix of a direct solver.
+
+Motion counts from the positions at which a list was built, without the mean motion of the sheet, which
+changes no distance. The lists are sorted, and pairs that do not interact add exact zeros. Results therefore
+do not depend on when a list was built.
 """
 
 from functools import reduce
@@ -27,105 +29,170 @@ NONE = jnp.iinfo(jnp.int64).max
 SOON = 1.5
 
 
-class Around(eqx.Module):
-    """Describe the motions that a list covers: up to the skin `reach` (n,) m from positions `x` (n, 3) m."""
+class Reference(eqx.Module):
+    """Describe the motions that a list covers: up to the `skin` (n,) m from positions `x` (n, 3) m."""
 
     x: Array
-    reach: Array
+    skin: Array
 
-    def equals(self, other: "Around") -> Array:
+    def equals(self, other: "Reference") -> Array:
         """Return whether positions and skin equal those of `other`."""
-        return jnp.all(self.x == other.x) & jnp.all(self.reach == other.reach)
+        return jnp.all(self.x == other.x) & jnp.all(self.skin == other.skin)
 
-    def covers(self, x: Array, spare: Array | float = 0.0) -> Array:
-        """Return whether each node of `x` (n, 3) can move `spare` m further and stay within its skin."""
-        return jnp.all(motion(self.x, x) + spare <= self.reach)
-
-
-class Candidates(eqx.Module):
-    """Hold the candidate pairs of triangles.
-
-    - `triangles` (c, 2): sorted pairs, lower index first; the first `count` are valid.
-    - `around`: the motions that the list covers.
-    - `folded` (w,): which ways of `Fans` are listed.
-    - `theta` (h,): hinge angles in rad when the list was built.
-    - `turn`: largest turn in rad at these angles of the ways that are not listed.
-    """
-
-    triangles: Array
-    count: Array
-    around: Around
-    folded: Array
-    theta: Array
-    turn: Array
+    def covers(self, x: Array, margin: Array | float = 0.0) -> Array:
+        """Return whether each node of `x` (n, 3) can move `margin` m further and stay within its skin."""
+        return jnp.all(motion(self.x, x) + margin <= self.skin)
 
 
-class Near(eqx.Module):
-    """Hold the site pairs that may interact, and their pairs of triangles.
-
-    - `triangles` (T, 2): pairs of triangles; `distance` (T,) in m: between the parts of the two that share no
-      node; the first `pair_count` are valid.
-    - `found` (K,): sites of the first triangle near the second, as place in `triangles` * s + site.
-    - `picked` (P,): site pairs, as place in `found` * s + site of the second triangle; `owner` (P,): place in
-      `triangles`; `apart` (P,) in m: distance of the two sites; the first `site_count` are valid.
-    - `around`: the motions that the list covers.
-    - `needed` (3,): lower bound of the required capacities, as `Room`. If one exceeds the capacity, the list
-      has overflowed and is not valid anywhere.
-    """
-
-    triangles: Array
-    distance: Array
-    pair_count: Array
-    found: Array
-    picked: Array
-    owner: Array
-    apart: Array
-    site_count: Array
-    around: Around
-    needed: Array
-
-    @property
-    def overflow(self) -> Array:
-        """Return which (3,) of the capacities are too small."""
-        return self.needed > jnp.asarray(self.room)
-
-    @property
-    def room(self) -> "Room":
-        """Return the capacities of the list."""
-        return Room(self.triangles.shape[0], self.found.shape[0], self.picked.shape[0])
-
-    def covers(self, x: Array, spare: Array | float = 0.0) -> Array:
-        """Return whether each node of `x` can move `spare` m further within its skin, without overflow."""
-        return self.around.covers(x, spare) & ~jnp.any(self.overflow)
-
-    def moved(self, faces: Array, *positions: Array) -> Array:
-        """Return a bound (T,) in m on the approach of two triangles since the last rebuild, at any of the
-        `positions` (n, 3)."""
-        return self.nearer(faces, reduce(jnp.maximum, [motion(self.around.x, x) for x in positions]))
-
-    def nearer(self, faces: Array, moves: Array) -> Array:
-        """Return a bound (T,) in m on the approach of two triangles whose nodes move by `moves` (n,) in m."""
-        most = reduce(jnp.maximum, [moves[faces[:, k]] for k in range(3)])
-        return most[self.triangles[:, 0]] + most[self.triangles[:, 1]]
-
-
-class Room(NamedTuple):
-    """Hold the capacities of a `Near` list: pairs of triangles, sites near triangles, site pairs."""
+class Capacity(NamedTuple):
+    """Hold the capacities of `SitePairs`: pairs of triangles, sites near triangles, site pairs."""
 
     triangles: int = 1
     sites: int = 1
     pairs: int = 1
 
 
-SMALLEST = Room()
+class VerletList(eqx.Module):
+    """Base of the lists: valid for the motions of `reference`, unless more entries are needed than fit."""
+
+    reference: eqx.AbstractVar[Reference]
+
+    @property
+    def overflow(self) -> Array:
+        """Return whether more entries are needed than the list has capacity for; it is then never valid."""
+        raise NotImplementedError
+
+    def covers(self, x: Array, margin: Array | float = 0.0) -> Array:
+        """Return whether the list is valid at `x` (n, 3), and if each node moves `margin` m further."""
+        return self.reference.covers(x, margin) & ~self.overflow
+
+
+class CandidatePairs(VerletList):
+    """Hold the candidate pairs of triangles.
+
+    - `reference`: the motions that the list covers.
+    - `triangles` (c, 2): sorted pairs, lower index first; the first `count` are valid.
+    - `folded` (w,): which ways of `Fans` are listed.
+    - `theta` (h,): hinge angles in rad when the list was built.
+    - `turn`: largest turn in rad at these angles of the ways that are not listed.
+    """
+
+    reference: Reference
+    triangles: Array
+    count: Array
+    folded: Array
+    theta: Array
+    turn: Array
+
+    @property
+    def overflow(self) -> Array:
+        """Return whether there are more candidate pairs than the list has capacity for."""
+        return self.count > self.triangles.shape[0]
+
+
+class SitePairs(VerletList):
+    """Hold the site pairs that may interact, and their pairs of triangles.
+
+    - `reference`: the motions that the list covers.
+    - `triangles` (T, 2): pairs of triangles; `distance` (T,) in m: between the parts of the two that share no
+      node; the first `triangle_count` are valid.
+    - `owner` (P,): place in `triangles`; `first`, `second` (P,): sites of the first and of the second
+      triangle; `apart` (P,) in m: distance of the two sites; the first `count` are valid.
+    - `needed` (3,): lower bound of the required capacities, as `Capacity`.
+    - `capacity`: also of the list of sites near triangles, which the narrow phase builds in between.
+    """
+
+    reference: Reference
+    triangles: Array
+    distance: Array
+    triangle_count: Array
+    owner: Array
+    first: Array
+    second: Array
+    apart: Array
+    count: Array
+    needed: Array
+    capacity: Capacity = eqx.field(static=True)
+
+    @property
+    def overflow(self) -> Array:
+        """Return whether one of the three capacities is too small."""
+        return jnp.any(self.needed > jnp.asarray(self.capacity))
+
+    def approach(self, faces: Array, *positions: Array) -> Array:
+        """Return a bound (T,) in m on the approach of two triangles since the last rebuild, at any of the
+        `positions` (n, 3)."""
+        return self.approach_of(faces, reduce(jnp.maximum, [motion(self.reference.x, x) for x in positions]))
+
+    def approach_of(self, faces: Array, moves: Array) -> Array:
+        """Return a bound (T,) in m on the approach of two triangles whose nodes move by `moves` (n,) in m."""
+        most = reduce(jnp.maximum, [moves[faces[:, k]] for k in range(3)])
+        return most[self.triangles[:, 0]] + most[self.triangles[:, 1]]
+
+    def keys(self, n_faces: int, sites: int) -> Array:
+        """Return sorted integer keys (P,) that name a site pair by its triangles and sites, `NONE` if unused.
+
+        A pair has the same key in all lists of a sheet with `n_faces` triangles of `sites` sites each.
+        """
+        pair = pair_key(self.triangles[self.owner], n_faces)
+        used = jnp.arange(self.owner.shape[0]) < self.count
+        return jnp.where(used, (pair * sites + self.first) * sites + self.second, NONE)
+
+
+class ActiveSet(VerletList):
+    """Hold the part of `SitePairs` that matters for the small motions `reference`, for which it is valid.
+
+    - `pairs` (P,): places in `SitePairs`; the first `count` may interact; `count` is -1 before they are
+      found.
+    - `close` (T,): places of pairs of triangles in `SitePairs.triangles`; the first `close_count` may touch.
+    """
+
+    reference: Reference
+    pairs: Array
+    count: Array
+    close: Array
+    close_count: Array
+
+    @property
+    def overflow(self) -> Array:
+        """Return False: the set has the capacity of the list of which it is a part."""
+        return jnp.asarray(False)
+
+
+class MatrixPairs(eqx.Module):
+    """Hold the structure of sheet and contact in one matrix of compressed sparse rows.
+
+    `indptr` (3n+1,); `indices` (e,), of which those after the last row are unused; `place` (nnz,): index of
+    the sheet's entries; `keys` (c,): sorted keys of pairs of triangles; `entries` (c, 81): index of the
+    entries of their blocks, or e for entries below the diagonal, which are dropped.
+    """
+
+    indptr: Array
+    indices: Array
+    place: Array
+    keys: Array
+    entries: Array
+
+
+class ContactLists(NamedTuple):
+    """Hold the lists of a sheet; `active` only during explicit steps, `matrix` only for a direct solver."""
+
+    candidates: CandidatePairs
+    pairs: SitePairs
+    active: ActiveSet | None = None
+    matrix: MatrixPairs | None = None
+
+
+SMALLEST = Capacity()
 # First capacities per node, and their lower limits: a coarse mesh has as many interacting sites. They suffice
 # for a crumple to a third of its size. Larger ones slow every step, because lists are written whole.
-ROOM_PER_NODE, SMALLEST_ROOM = Room(1, 16, 32), Room(1000, 32_000, 64_000)
+CAPACITY_PER_NODE, LEAST_CAPACITY = Capacity(1, 16, 32), Capacity(1000, 32_000, 64_000)
 
 
-def first_room(n: int) -> Room:
+def first_capacity(n: int) -> Capacity:
     """Return the capacities of the first list of a sheet with `n` nodes."""
-    return Room(*(max(share * n, least) for share, least in zip(ROOM_PER_NODE, SMALLEST_ROOM, strict=True)))
+    sizes = zip(CAPACITY_PER_NODE, LEAST_CAPACITY, strict=True)
+    return Capacity(*(max(share * n, least) for share, least in sizes))
 
 
 def doubled(size: int, needed: int) -> int:
@@ -160,30 +227,38 @@ def motion(start: Array, end: Array) -> Array:
     return jnp.sqrt(dot((x, y, z), (x, y, z)))
 
 
-def nowhere(n: int) -> Around:
-    """Return the `Around` that covers no positions: those of `n` nodes are NaN."""
-    return Around(jnp.full((n, 3), jnp.nan, float), jnp.zeros(n))
+def nowhere(n: int) -> Reference:
+    """Return the `Reference` that covers no positions: those of `n` nodes are NaN."""
+    return Reference(jnp.full((n, 3), jnp.nan, float), jnp.zeros(n))
 
 
-def no_candidates(n: int, hinges: int, ways: int, room: int = 1) -> Candidates:
-    """Return an empty list of candidates of capacity `room` that covers no positions."""
-    triangles, folded = jnp.zeros((room, 2), jnp.int32), jnp.zeros(ways, bool)
+def no_candidates(n: int, hinges: int, ways: int, capacity: int = 1) -> CandidatePairs:
+    """Return an empty list of candidates that covers no positions."""
+    triangles, folded = jnp.zeros((capacity, 2), jnp.int32), jnp.zeros(ways, bool)
     unknown = jnp.full(hinges, jnp.nan, float), jnp.asarray(jnp.nan, float)
-    return Candidates(triangles, jnp.zeros((), int), nowhere(n), folded, *unknown)
+    return CandidatePairs(nowhere(n), triangles, jnp.zeros((), int), folded, *unknown)
 
 
-def no_neighbors(n: int, sites: int, room: Room = SMALLEST) -> Near:
-    """Return an empty list of site pairs that covers no positions, for `sites` sites per triangle."""
-    t, zero = room.triangles, jnp.zeros((), int)
-    return Near(
-        triangles=jnp.zeros((t, 2), jnp.int32),
-        distance=jnp.zeros(t),
-        pair_count=zero,
-        found=jnp.zeros(room.sites, place_type(t * sites)),
-        picked=jnp.zeros(room.pairs, place_type(room.sites * sites)),
-        owner=jnp.zeros(room.pairs, place_type(t)),
-        apart=jnp.zeros(room.pairs),
-        site_count=zero,
-        around=nowhere(n),
+def no_pairs(n: int, capacity: Capacity = SMALLEST) -> SitePairs:
+    """Return an empty list of site pairs that covers no positions."""
+    triangles, zero = capacity.triangles, jnp.zeros((), int)
+    empty = jnp.zeros(capacity.pairs, jnp.int32)
+    return SitePairs(
+        reference=nowhere(n),
+        triangles=jnp.zeros((triangles, 2), jnp.int32),
+        distance=jnp.zeros(triangles),
+        triangle_count=zero,
+        owner=empty,
+        first=empty,
+        second=empty,
+        apart=jnp.zeros(capacity.pairs),
+        count=zero,
         needed=jnp.zeros(3, int),
+        capacity=capacity,
     )
+
+
+def no_active(n: int, capacity: Capacity) -> ActiveSet:
+    """Return an empty active set, marked as not yet found."""
+    pairs, close = jnp.zeros(capacity.pairs, jnp.int32), jnp.zeros(capacity.triangles, jnp.int32)
+    return ActiveSet(nowhere(n), pairs, jnp.asarray(-1, int), close, jnp.asarray(0, int))

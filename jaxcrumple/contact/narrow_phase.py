@@ -1,18 +1,22 @@
 """Narrow phase: find the site pairs that may interact among the candidate pairs of triangles."""
 
-from typing import TYPE_CHECKING
-
 import jax.numpy as jnp
 from jax import Array
 
 from jaxcrumple._jax.padded import compacted, enumerated, filled
-from jaxcrumple.contact.lists import EXCLUSION, Around, Near, place_type, split
+from jaxcrumple.contact.lists import (
+    EXCLUSION,
+    CandidatePairs,
+    Capacity,
+    Reference,
+    SitePairs,
+    place_type,
+    split,
+)
+from jaxcrumple.contact.parameters import Contact
 from jaxcrumple.contact.site_rows import Lattice, across, in_prism, within, without
 from jaxcrumple.geometry.distance import boxes, boxes_meet, primitive_distances, shared_parts
 from jaxcrumple.geometry.hinge import Vec, add, dot, gather, scale, sub
-
-if TYPE_CHECKING:
-    from jaxcrumple.contact.energy import Contact
 
 # Entries per chunk: pairs of boxes, pairs of triangles, rows of sites, and site pairs in tests of distances.
 BOXES, PAIRS, LINES, REST = 1024, 256, 2048, 1024
@@ -20,37 +24,38 @@ BOXES, PAIRS, LINES, REST = 1024, 256, 2048, 1024
 NEARLY = 1e-4
 
 
-def find_near(contact: "Contact", around: Around) -> Near:
-    """Find the site pairs that may interact during the motions `around`.
+def find_pairs(
+    contact: Contact, candidates: CandidatePairs, reference: Reference, capacity: Capacity
+) -> SitePairs:
+    """Find the site pairs that may interact during the motions `reference`, which `candidates` must cover.
 
-    The candidates of `contact` must cover these motions. The list has the capacities of `contact.near`; test
-    its `overflow`.
+    Test the `overflow` of the result.
     """
-    room = contact.near.room
-    triangles, distance, pair_count = _near_triangles(contact, around)
-    pairs = jnp.minimum(pair_count, room.triangles)
-    stages = _Stages(contact, around, triangles)
+    triangles, distance, triangle_count = _close_triangles(contact, candidates, reference, capacity)
+    pairs = jnp.minimum(triangle_count, capacity.triangles)
+    stages = _Stages(contact, reference, triangles, capacity)
     found, found_count = stages.sites(pairs)
-    sites = jnp.minimum(found_count, room.sites)
+    sites = jnp.minimum(found_count, capacity.sites)
     lines, line_count = stages.rows(found, sites)
-    looked_at = jnp.minimum(line_count, room.pairs)
+    looked_at = jnp.minimum(line_count, capacity.pairs)
     met, met_count = stages.columns(found, lines, looked_at)
-    picked, total = stages.strangers(found, met, jnp.minimum(met_count, room.pairs))
-    owner, apart = stages.distances(found, picked, total)
+    met, count = stages.strangers(found, met, jnp.minimum(met_count, capacity.pairs))
+    owner, first, second, apart = stages.unpacked(found, met, count)
     # Entries beyond a capacity were not processed: assume as many sites and pairs for them as for the others.
-    found_count = _in_all(found_count, pair_count, pairs)
+    found_count = _in_all(found_count, triangle_count, pairs)
     lines_met = jnp.maximum(line_count, _in_all(met_count, line_count, looked_at))
-    return Near(
+    return SitePairs(
         triangles=triangles,
         distance=distance,
-        pair_count=pair_count,
-        found=found,
-        picked=picked,
+        triangle_count=triangle_count,
         owner=owner,
+        first=first,
+        second=second,
         apart=apart,
-        site_count=total,
-        around=around,
-        needed=jnp.stack([pair_count, found_count, _in_all(lines_met, found_count, sites)]),
+        count=count,
+        reference=reference,
+        needed=jnp.stack([triangle_count, found_count, _in_all(lines_met, found_count, sites)]),
+        capacity=capacity,
     )
 
 
@@ -58,19 +63,22 @@ class _Stages:
     """Reduce pairs of `triangles` (T, 2) to site pairs, stage by stage.
 
     `sites`: sites of the first triangle near the second; `rows`: rows of sites of the second triangle near
-    these; `columns`: sites in these rows; `strangers`: pairs that are not neighbours at rest.
+    these; `columns`: sites in these rows; `strangers`: pairs that are not neighbours at rest. Between the
+    stages, one integer stands for a site near a triangle, pair of triangles * s + site, and one for a site
+    pair, place in that list * s + site of the second triangle.
     """
 
-    def __init__(self, contact: "Contact", around: Around, triangles: Array):
-        self.contact, self.x, self.room = contact, around.x, contact.near.room
+    def __init__(self, contact: Contact, reference: Reference, triangles: Array, capacity: Capacity):
+        self.contact, self.x, self.capacity = contact, reference.x, capacity
         self.first, self.second = (contact.faces[triangles[:, side]] for side in range(2))
-        self.reach = _limit(contact, around, self.first, self.second)
+        self.reach = _limit(contact, reference, self.first, self.second)
         self.lattice = Lattice(contact.weights)
         self.width = self.lattice.parts + 1
 
     def sites(self, pairs: Array) -> tuple[Array, Array]:
-        """Find the sites, as in `Near.found`, of the first `pairs` pairs; return them and their number."""
+        """Find the sites near the second triangle of the first `pairs` pairs, and count them."""
         contact, lattice = self.contact, self.lattice
+        integer = place_type(self.capacity.triangles * lattice.count)
         strange = _may_meet(contact, self.x, self.first, self.second, self.reach)
 
         def close(at: Array) -> tuple[Array, Array]:
@@ -79,9 +87,9 @@ class _Stages:
             return start, jnp.where(strange[at][:, None], behind, start)
 
         def place(at: Array, number: Array) -> Array:
-            return at.astype(contact.near.found.dtype)[:, None] * lattice.count + lattice.first + number
+            return at.astype(integer)[:, None] * lattice.count + lattice.first + number
 
-        return enumerated(close, pairs, self.room.sites, max(LINES // len(lattice.row), 1), place)
+        return enumerated(close, pairs, self.capacity.sites, max(LINES // len(lattice.row), 1), place)
 
     def _sides(self, found: Array, x: Array) -> tuple[Vec, Vec, Vec]:
         """Return `Lattice.steps` from the sites `found` (m,) in the lattice of the second triangle."""
@@ -99,17 +107,18 @@ class _Stages:
             start, row, step = self._sides(found[at], self.x)
             return within(across(start, step), across(row, step), self._limit(found[at]), self.lattice.parts)
 
-        wide = place_type(self.room.sites * self.width)
+        wide = place_type(self.capacity.sites * self.width)
         return enumerated(
-            near, count, self.room.pairs, LINES, lambda at, k: at.astype(wide)[:, None] * self.width + k
+            near, count, self.capacity.pairs, LINES, lambda at, k: at.astype(wide)[:, None] * self.width + k
         )
 
     def columns(self, found: Array, lines: Array, count: Array) -> tuple[Array, Array]:
         """Find the near sites in the first `count` rows, without neighbours at rest up to rounding.
 
-        Returns the pairs, as in `Near.picked`, and their number.
+        Returns the pairs and their number.
         """
         contact, lattice = self.contact, self.lattice
+        integer = place_type(self.capacity.sites * lattice.count)
 
         def near(at: Array) -> tuple[Array, Array]:
             here, number = split(lines[at], self.width)
@@ -123,10 +132,10 @@ class _Stages:
 
         def entry(at: Array, column: Array) -> Array:
             here, number = split(lines[at], self.width)
-            first = here.astype(contact.near.picked.dtype) * lattice.count + lattice.first[number]
+            first = here.astype(integer) * lattice.count + lattice.first[number]
             return first[:, None] + column
 
-        return enumerated(near, count, self.room.pairs, LINES, entry)
+        return enumerated(near, count, self.capacity.pairs, LINES, entry)
 
     def strangers(self, found: Array, met: Array, count: Array) -> tuple[Array, Array]:
         """Select the pairs among the first `count` that are not neighbours at rest, and count them."""
@@ -135,24 +144,26 @@ class _Stages:
             _, apart = self._between(found, met[at], self.contact.rest)
             return (dot(apart, apart) >= (EXCLUSION * self.contact.range) ** 2)[:, None]
 
-        return compacted(strange, count, 1, self.room.pairs, REST, lambda at: met[at])
+        return compacted(strange, count, 1, self.capacity.pairs, REST, lambda at: met[at])
 
-    def distances(self, found: Array, picked: Array, count: Array) -> tuple[Array, Array]:
-        """Compute `Near.owner` and `Near.apart` for the first `count` pairs."""
+    def unpacked(self, found: Array, met: Array, count: Array) -> tuple[Array, Array, Array, Array]:
+        """Compute `owner`, `first`, `second` and `apart` of `SitePairs` for the first `count` pairs."""
 
-        def distance(at: Array) -> tuple[Array, Array]:
-            owner, r = self._between(found, picked[at], self.x)
-            return owner.astype(self.contact.near.owner.dtype), jnp.sqrt(dot(r, r))
+        def unpack(at: Array) -> tuple[Array, ...]:
+            (owner, first, second), r = self._between(found, met[at], self.x)
+            sites = (place.astype(jnp.int32) for place in (owner, first, second))
+            return *sites, jnp.sqrt(dot(r, r))
 
-        return filled(distance, count, self.room.pairs, REST)
+        return filled(unpack, count, self.capacity.pairs, REST)
 
-    def _between(self, found: Array, pairs: Array, x: Array) -> tuple[Array, Vec]:
-        """Return the place of each site pair in the list of triangle pairs, and the vector from the second
-        site to the first."""
-        row, other = split(pairs, self.lattice.count)
-        owner, site = split(found[row], self.lattice.count)
-        here = self.lattice.point(site, gather(x, self.first[owner]))
-        return owner, sub(here, self.lattice.point(other, gather(x, self.second[owner])))
+    def _between(self, found: Array, pairs: Array, x: Array) -> tuple[tuple[Array, Array, Array], Vec]:
+        """Return the pair of triangles and the two sites of site pairs, and the vector from the second site
+        to the first."""
+        row, second = split(pairs, self.lattice.count)
+        owner, first = split(found[row], self.lattice.count)
+        here = self.lattice.point(first, gather(x, self.first[owner]))
+        r = sub(here, self.lattice.point(second, gather(x, self.second[owner])))
+        return (owner, first, second), r
 
 
 def _in_all(count: Array, whole: Array, part: Array) -> Array:
@@ -162,14 +173,16 @@ def _in_all(count: Array, whole: Array, part: Array) -> Array:
     )
 
 
-def _near_triangles(contact: "Contact", around: Around) -> tuple[Array, Array, Array]:
-    """Find the candidate pairs of triangles that may come within the range during the motions `around`.
+def _close_triangles(
+    contact: Contact, candidates: CandidatePairs, reference: Reference, capacity: Capacity
+) -> tuple[Array, Array, Array]:
+    """Find the candidate pairs of triangles that may come within the range during the motions `reference`.
 
     Returns the pairs (T, 2), the distance (T,) in m between the parts that share no node, and the number of
     pairs.
     """
-    candidates, faces = contact.candidates, contact.faces
-    low, high = boxes(around.x[faces], jnp.max(around.reach[faces], axis=1))
+    faces, x = contact.faces, reference.x
+    low, high = boxes(x[faces], jnp.max(reference.skin[faces], axis=1))
 
     def overlap(at: Array) -> Array:
         one, two = candidates.triangles[at, 0], candidates.triangles[at, 1]
@@ -180,19 +193,17 @@ def _near_triangles(contact: "Contact", around: Around) -> tuple[Array, Array, A
 
     def distances(at: Array) -> tuple[Array, Array]:
         first, second = (faces[candidates.triangles[rough[at], side]] for side in range(2))
-        whole, parts = _distances(around.x, first, second)
-        return whole - _limit(contact, around, first, second), parts
+        whole, parts = _distances(x, first, second)
+        return whole - _limit(contact, reference, first, second), parts
 
     beyond, apart = filled(distances, count, size, PAIRS)
-    places, pair_count = compacted(
-        lambda at: (beyond[at] <= 0)[:, None], count, 1, contact.near.room.triangles, BOXES
-    )
+    places, pair_count = compacted(lambda at: (beyond[at] <= 0)[:, None], count, 1, capacity.triangles, BOXES)
     return candidates.triangles[rough[places]], apart[places], pair_count
 
 
-def _limit(contact: "Contact", around: Around, first: Array, second: Array) -> Array:
+def _limit(contact: Contact, reference: Reference, first: Array, second: Array) -> Array:
     """Return the distance (m,) within which triangles with nodes (m, 3) may interact: range plus skins."""
-    return contact.range + sum(jnp.max(around.reach[nodes], axis=1) for nodes in (first, second))
+    return contact.range + sum(jnp.max(reference.skin[nodes], axis=1) for nodes in (first, second))
 
 
 def _distances(x: Array, first: Array, second: Array) -> tuple[Array, Array]:
@@ -203,7 +214,7 @@ def _distances(x: Array, first: Array, second: Array) -> tuple[Array, Array]:
     return whole, jnp.sqrt(jnp.min(jnp.where(shared, jnp.inf, parts), axis=0))
 
 
-def _may_meet(contact: "Contact", x: Array, first: Array, second: Array, reach: Array) -> Array:
+def _may_meet(contact: Contact, x: Array, first: Array, second: Array, reach: Array) -> Array:
     """Return whether two points that are not neighbours at rest may be within `reach` (m,) of each other.
 
     The points lie on triangles with nodes `first`, `second` (m, 3). With barycentric coordinates a_i and b_j,

@@ -22,7 +22,7 @@ import numpy as np
 from jaxcrumple._jax.door import door
 from jaxcrumple.io.atomic import npz_bytes, to_json, write_bytes
 
-FORMAT, VERSION = "jaxcrumple-checkpoint", 1
+FORMAT, VERSION = "jaxcrumple-checkpoint", 2
 _HEADER = "header"
 _RESTORE = "restore the file from a copy, or start the run again"
 

@@ -6,12 +6,22 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxcrumple.assembly.contact_blocks import Merged
 from jaxcrumple.assembly.merged_matrix import Merger
+from jaxcrumple.contact.coverage import apart
 from jaxcrumple.contact.host_broad_phase import Search
-from jaxcrumple.contact.lists import Around, Candidates, Near, doubled, motion
-from jaxcrumple.contact.narrow_phase import find_near
-from jaxcrumple.scene import Scene, with_near
+from jaxcrumple.contact.lists import (
+    CandidatePairs,
+    Capacity,
+    ContactLists,
+    MatrixPairs,
+    Reference,
+    doubled,
+    motion,
+    no_pairs,
+    nowhere,
+)
+from jaxcrumple.contact.narrow_phase import find_pairs
+from jaxcrumple.scene import Scene, with_lists
 
 # Largest distance in contact ranges of the sheet in a replay from the recorded one.
 SLACK = 0.25
@@ -21,26 +31,30 @@ TOGETHER = 0.25
 FEWEST = 256
 
 
-class Lists(eqx.Module):
+class StretchLists(eqx.Module):
     """Hold the candidate pairs of triangles for each of g stretches of steps.
 
-    `triangles` (g, c, 2), of which the first `count` (g,) are valid; `folded` (g, w) as in `Candidates`;
-    `merged`: structure of the merged matrix of a direct solver, arrays (g, ...), or None."""
+    `triangles` (g, c, 2), of which the first `count` (g,) are valid; `folded` (g, w) as in `CandidatePairs`;
+    `matrix`: structure of the matrix of a direct solver, arrays (g, ...), or None; `capacity` of the site
+    pairs of a step."""
 
     triangles: Array
     count: Array
     folded: Array
-    merged: Merged | None
+    matrix: MatrixPairs | None
+    capacity: Capacity = eqx.field(static=True)
 
 
-def make_lists(scene: Scene, start: np.ndarray, x: np.ndarray, explicit: np.ndarray, merged: bool) -> Lists:
+def make_lists(
+    scene: Scene, start: np.ndarray, x: np.ndarray, explicit: np.ndarray, merged: bool
+) -> StretchLists:
     """Build the contact lists of all stretches of steps of a run.
 
     `start` (n, 3): positions in m at the start; `x` (g, s, n, 3): positions in m at the end of each step;
     `explicit` (g, s): whether a step is explicit, so that it also uses positions between its ends; `merged`:
-    whether the solver needs the merged matrix."""
+    whether the solver needs sheet and contact in one matrix."""
     contact = scene.contact
-    assert contact is not None
+    assert contact is not None and scene.lists is not None
     search = Search(contact, np.asarray(scene.bending.nodes))
     before = np.concatenate([start[None], x.reshape(-1, *start.shape)[:-1]]).reshape(x.shape)
     found = [_met(scene, search, *stretch) for stretch in zip(before, x, explicit, strict=True)]
@@ -49,8 +63,9 @@ def make_lists(scene: Scene, start: np.ndarray, x: np.ndarray, explicit: np.ndar
     for row, (pairs, _) in zip(triangles, found, strict=True):
         row[: len(pairs)] = pairs
     count, folded = np.array([len(pairs) for pairs, _ in found]), np.stack([ways for _, ways in found])
-    places = _merged(Merger(scene.pattern, search.faces), [pairs for pairs, _ in found]) if merged else None
-    return Lists(jnp.asarray(triangles), jnp.asarray(count, int), jnp.asarray(folded), places)
+    matrix = _merged(Merger(scene.pattern, search.faces), [pairs for pairs, _ in found]) if merged else None
+    arrays = jnp.asarray(triangles), jnp.asarray(count, int), jnp.asarray(folded)
+    return StretchLists(*arrays, matrix, scene.lists.pairs.capacity)
 
 
 def _met(
@@ -58,7 +73,7 @@ def _met(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the candidate pairs of the steps from `before` to `x` (s, n, 3).
 
-    Returns the sorted pairs of triangles (c, 2), and the flags `folded` (w,) as in `Candidates`."""
+    Returns the sorted pairs of triangles (c, 2), and the flags `folded` (w,) as in `CandidatePairs`."""
     contact, n = scene.contact, len(search.faces)
     assert contact is not None
     keys, folded = [np.zeros(0, np.int64)], np.zeros(len(search.fan_triangles), bool)
@@ -67,10 +82,10 @@ def _met(
         first = x[left[0]]
         moved = np.stack([np.asarray(motion(first, x[k])) for k in left])
         together = int(np.argmax(np.append(moved.max(axis=1) > TOGETHER * search.sigma, True)))
-        reach = SLACK * search.sigma + moved[:together]
+        skin = SLACK * search.sigma + moved[:together]
         for row, k in enumerate(left[:together]):
-            reach[row] += np.asarray(motion(before[k], x[k])) * explicit[k]
-        pairs, ways = search.find(first, reach.max(axis=0))
+            skin[row] += np.asarray(motion(before[k], x[k])) * explicit[k]
+        pairs, ways = search.find(first, skin.max(axis=0))
         keys.append(pairs[:, 0] * n + pairs[:, 1])
         folded, left = folded | ways, left[together:]
     key = np.unique(np.concatenate(keys))
@@ -79,10 +94,10 @@ def _met(
 
 @eqx.filter_jit
 def _apart(contact, start: Array, end: Array) -> Array:
-    return contact.apart(start, end)
+    return apart(contact, start, end)
 
 
-def _merged(merger: Merger, found: list[np.ndarray]) -> Merged:
+def _merged(merger: Merger, found: list[np.ndarray]) -> MatrixPairs:
     """Build the merged matrices of all stretches, with equal capacity."""
     room = FEWEST
     while True:
@@ -93,38 +108,28 @@ def _merged(merger: Merger, found: list[np.ndarray]) -> Merged:
         room = most
 
 
-def with_lists(scene: Scene, lists: Lists | None, near: Near | None) -> Scene:
-    """Insert the `lists` of one stretch, and an empty site list `near`, in the scene."""
-    if lists is None or near is None:
-        return scene
-    assert scene.contact is not None
+def in_stretch(scene: Scene, lists: StretchLists | None) -> Scene:
+    """Insert the lists of one stretch in the scene, with an empty list of site pairs."""
+    if lists is None:
+        return with_lists(scene, None)
     # The run has checked that its steps pass through nothing, so a replay does not use these fold angles.
-    unknown = jnp.full_like(scene.contact.candidates.theta, jnp.nan), jnp.asarray(jnp.nan, float)
-    candidates = Candidates(lists.triangles, lists.count, near.around, lists.folded, *unknown)
-    scene = eqx.tree_at(lambda s: s.contact.candidates, scene, candidates)
-    scene = with_near(scene, near)
-    return eqx.tree_at(
-        lambda s: s.pattern.contact.merged, scene, lists.merged, is_leaf=lambda leaf: leaf is None
-    )
+    unknown = jnp.full(scene.bending.nodes.shape[0], jnp.nan), jnp.asarray(jnp.nan, float)
+    here = nowhere(scene.n_nodes)
+    candidates = CandidatePairs(here, lists.triangles, lists.count, lists.folded, *unknown)
+    pairs = no_pairs(scene.n_nodes, lists.capacity)
+    return with_lists(scene, ContactLists(candidates, pairs, matrix=lists.matrix))
 
 
-def near_step(scene: Scene, old: Array, new: Array, between: Array | bool) -> Scene:
-    """Build the site list of one step in the scene of its stretch.
+def in_step(scene: Scene, old: Array, new: Array, between: Array | bool) -> Scene:
+    """Build the site pairs of one step in the scene of its stretch.
 
     `old`, `new` (n, 3): recorded positions in m at the ends of the step; `between`: whether the step also
     uses positions between them."""
-    if scene.contact is None:
+    contact, lists = scene.contact, scene.lists
+    if contact is None or lists is None:
         return scene
-    reach = SLACK * scene.contact.range + jnp.where(between, motion(old, new), 0.0)
-    around = jax.lax.stop_gradient(Around(new, reach))
-    scene = eqx.tree_at(lambda s: s.contact.candidates.around, scene, around)
-    assert scene.contact is not None
-    return with_near(scene, find_near(jax.lax.stop_gradient(scene.contact), around))
-
-
-def as_listed(scene: Scene, listed: Scene) -> Scene:
-    """Return the scene with the contact lists of another scene."""
-    if scene.contact is None or listed.contact is None:
-        return scene
-    theirs = listed.contact.candidates, listed.contact.near, listed.pattern.contact
-    return eqx.tree_at(lambda s: (s.contact.candidates, s.contact.near, s.pattern.contact), scene, theirs)
+    skin = SLACK * contact.range + jnp.where(between, motion(old, new), 0.0)
+    contact, reference = jax.lax.stop_gradient((contact, Reference(new, skin)))
+    candidates = eqx.tree_at(lambda c: c.reference, lists.candidates, reference)
+    pairs = find_pairs(contact, candidates, reference, lists.pairs.capacity)
+    return with_lists(scene, lists._replace(candidates=candidates, pairs=pairs))

@@ -8,10 +8,10 @@ import numpy as np
 from jax import Array
 
 from jaxcrumple._jax.memory import gigabytes, times_that_fit
-from jaxcrumple.contact.lists import Near, doubled, no_neighbors
-from jaxcrumple.replay.contacts import Lists, make_lists
+from jaxcrumple.contact.lists import doubled
+from jaxcrumple.replay.contacts import StretchLists, make_lists
 from jaxcrumple.replay.snaps import snaps
-from jaxcrumple.scene import Scene
+from jaxcrumple.scene import Scene, with_lists
 from jaxcrumple.solvers.explicit.base import AbstractExplicit
 from jaxcrumple.solvers.implicit.bdf_pair import BDFPair
 from jaxcrumple.solvers.implicit.variable_order import VariableOrder
@@ -50,18 +50,17 @@ class Steps(eqx.Module):
 class Record(eqx.Module):
     """Hold the accepted steps of a run; `simulate(..., record=True)` builds it for `replay`.
 
-    `scene` of the run, and its first state `start`; `t` (f,) s: times of the frames; `steps`; `lists` and
-    `near`: contact lists of the stretches, and an empty site list with the capacity for a step, or None
-    without contact; `explicit`, `linear`, `rho_infinity` and `inertia`: as in the run's solver; `stages`:
-    stages of the steps; `snaps` (64,) s: times at which snaps begin, padded with infinity.
+    `scene` of the run, and its first state `start`; `t` (f,) s: times of the frames; `steps`; `lists`:
+    contact lists of the stretches, or None without contact; `explicit`, `linear`, `rho_infinity` and
+    `inertia`: as in the run's solver; `stages`: stages of the steps; `snaps` (64,) s: times at which snaps
+    begin, padded with infinity.
     """
 
     scene: Scene
     start: State
     t: Array
     steps: Steps
-    lists: Lists | None
-    near: Near | None
+    lists: StretchLists | None
     explicit: AbstractExplicit | None
     linear: AbstractLinearSolver | None
     rho_infinity: Array
@@ -123,19 +122,17 @@ class Recorder:
         parts = [_in_stretches(part) for part in (t, h, stage, order, past, frame, x)]
         valid = np.arange(parts[0].size).reshape(parts[0].shape) < len(h)
         parts[-2][~valid] = len(self.frames)
-        lists = near = None
+        lists = None
         if scene.contact is not None:
-            near = no_neighbors(scene.n_nodes, len(scene.contact.share), scene.contact.near.room)
             start, explicit = np.asarray(self.start.x), parts[2] == EXPLICIT
             lists = make_lists(scene, start, parts[-1], explicit, solver.one_matrix)
         implicit = solver.implicit
         return Record(
-            scene=scene,
+            scene=with_lists(scene, None),
             start=self.start,
             t=jnp.asarray([t for t, _ in self.frames]),
             steps=Steps(jnp.asarray(valid), *map(jnp.asarray, parts)),
             lists=lists,
-            near=near,
             explicit=solver.explicit,
             linear=None if implicit is None else implicit.linear,
             rho_infinity=implicit.rho_infinity if isinstance(implicit, VariableOrder) else jnp.zeros(()),

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxcrumple._jax.door import door, own_modes
-from jaxcrumple.replay.contacts import Lists, as_listed, near_step, with_lists
+from jaxcrumple.replay.contacts import StretchLists, in_step, in_stretch
 from jaxcrumple.replay.record import Record, Steps
 from jaxcrumple.replay.step import Point, RecordedStep, changed, newest, solved
-from jaxcrumple.scene import Scene
+from jaxcrumple.scene import Scene, with_lists
 from jaxcrumple.solvers.implicit.bdf import step_formula
 from jaxcrumple.solvers.linear.base import Factor
 from jaxcrumple.state import EXPLICIT, HISTORY, IMPLICIT, State, check_state
@@ -88,7 +88,7 @@ def _differ(run: tuple[Scene, Point], record: Record) -> Array:
     scene, here = run
     start = record.start
     recorded = record.scene, Point(start.x, start.v, start.p)
-    pairs = zip(*map(_numbers, ((as_listed(scene, record.scene), here), recorded)), strict=True)
+    pairs = zip(*map(_numbers, ((with_lists(scene, None), here), recorded)), strict=True)
     differ = [
         jnp.max(jnp.abs(a - b), initial=0.0) > SAME * jnp.max(jnp.abs(b), initial=0.0) for a, b in pairs
     ]
@@ -137,10 +137,10 @@ class _Kept(NamedTuple):
 def _forward(scene: Scene, past: Point, record: Record, way: _Way) -> tuple[_Kept, Point, Array]:
     """Compute the points of each stretch, the frames, and the largest error."""
 
-    def stretch(carry, part: tuple[Steps, Lists | None]):
+    def stretch(carry, part: tuple[Steps, StretchLists | None]):
         past, frames, error = carry
         steps, lists = part
-        here = with_lists(scene, lists, record.near)
+        here = in_stretch(scene, lists)
         if way.solve:
             points, left = _solved(here, past, steps, record)
         else:
@@ -198,10 +198,10 @@ def _tangent(scene: Scene, by_scene: Scene, past: Point, by_past: Any, record: R
     )
 
     @jax.checkpoint
-    def stretch(carry, part: tuple[Steps, Lists | None, _Kept]):
+    def stretch(carry, part: tuple[Steps, StretchLists | None, _Kept]):
         moved, frames = carry
         steps, lists, kept = part
-        listed = with_lists(scene, lists, record.near)
+        listed = in_stretch(scene, lists)
         workspace, rows = _workspace(listed, record), kept.rows
         if rows is None:
             assert kept.past is not None and kept.x is not None
@@ -229,7 +229,7 @@ def _tangent(scene: Scene, by_scene: Scene, past: Point, by_past: Any, record: R
 
 
 def _workspace(scene: Scene, record: Record) -> Factor | None:
-    return None if record.linear is None else record.linear.start(scene.pattern)
+    return None if record.linear is None else record.linear.start(scene.sparsity)
 
 
 def _pushed(past: Point, new: Point) -> Point:
@@ -275,7 +275,7 @@ def _step(
 ) -> tuple[Point, Array, Factor | None]:
     """Return the point after a step, the error of its solution, and the last factor."""
     old = newest(past)
-    scene = near_step(scene, old.x, step.x, step.stage == EXPLICIT)
+    scene = in_step(scene, old.x, step.x, step.stage == EXPLICIT)
 
     def implicit() -> tuple[Point, Array, Factor | None]:
         assert record.linear is not None and factor is not None
@@ -300,7 +300,7 @@ def _point(scene: Scene, past: Point, step: Steps, x: Array, record: Record) -> 
 
     def explicit_step() -> Point:
         assert record.explicit is not None
-        near = near_step(scene, old.x, x, True)
+        near = in_step(scene, old.x, x, True)
         return Point(*record.explicit.advance(near, step.t, step.h, *old))._replace(x=x)
 
     return _by_stage(step, record, implicit, explicit_step)
@@ -319,10 +319,10 @@ def _step_change(
 ) -> Point:
     """Compute the tangent of the point `new` after a step; `listed`: the scene with its stretch's lists."""
     old = newest(past)
-    listed = near_step(listed, old.x, new.x, step.stage == EXPLICIT)
+    listed = in_step(listed, old.x, new.x, step.stage == EXPLICIT)
 
     def here(scene: Scene) -> Scene:
-        return as_listed(scene, listed)
+        return with_lists(scene, listed.lists)
 
     def implicit() -> Point:
         assert record.linear is not None and workspace is not None

@@ -100,12 +100,12 @@ def solved(
 
     def body(carry: _Carry) -> _Carry:
         def renewed() -> Factor:
-            return linear.factor(scene.pattern, step.tangent(scene, past, carry.x), carry.factor)
+            return linear.factor(scene.sparsity, step.tangent(scene, past, carry.x), carry.factor)
 
         factor = jax.lax.cond(carry.renew, renewed, lambda: carry.factor)
         values = None if linear.exact else step.tangent(scene, past, carry.x)
         value = step.residual(scene, past, carry.x)
-        solution = linear.solve(scene.pattern, factor, values, -value.reshape(-1), FORCING)
+        solution = linear.solve(scene.sparsity, factor, values, -value.reshape(-1), FORCING)
         update = jnp.max(jnp.abs(solution.x)) / scene.length_scale
         contraction = update / carry.update
         # A large update with the factor of the previous step is not reliable.
@@ -156,7 +156,7 @@ def changed(
         return step.residual(here(scene), past, unknown)
 
     force = eqx.filter_jvp(residual, (scene, past), (by_scene, by_past))[1]
-    moved = solve_once(linear, listed.pattern, start, values, -force.reshape(-1), LINEAR)
+    moved = solve_once(linear, listed.sparsity, start, values, -force.reshape(-1), LINEAR)
     changes = (by_scene, by_past, moved.reshape(unknown.shape))
 
     def point(scene: Scene, past: Point, unknown: Array) -> Point:

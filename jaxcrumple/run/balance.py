@@ -1,5 +1,6 @@
 """Evaluate energies and forces at a start, term by term: find values that are not finite, and imbalance."""
 
+import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
@@ -7,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxcrumple.contact import energy as contact
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.contact.reallocate import batch_with_contacts
 from jaxcrumple.solvers.start import check_gap, check_start, has_near_layers
@@ -50,7 +52,7 @@ def start_balance(scene: Scene, state: State) -> Balance:
             scene = batch_with_contacts([scene], [state])[0]
             check_gap(scene, state)
         else:
-            scene = eqx.tree_at(lambda s: s.contact, scene, None)
+            scene = dataclasses.replace(scene, contact=None, lists=None)
     terms = _terms(scene, state)
     for term in terms:
         _check_finite(term)
@@ -75,7 +77,10 @@ def _evaluated(scene: Scene, x: Array, p: Array | None, t: Array) -> dict[str, t
         "bending": (scene.bending.energy(x, rest), scene.bending.force(hinges, rest, x.shape[0])),
     }
     if scene.contact is not None:
-        terms["contact"] = scene.contact.energy(x), scene.contact.force(x)
+        terms["contact"] = (
+            contact.energy(scene.contact, scene.lists, x),
+            contact.force(scene.contact, scene.lists, x),
+        )
     for index, wall in enumerate(scene.walls):
         terms[f"wall {index} ({type(wall.shape).__name__})"] = wall.energy(x, t), wall.force(x, t)
     for index, term in enumerate(scene.extra):
@@ -129,8 +134,9 @@ def _pushes(scene: Scene, state: State, term: _Term) -> str:
 def _why(scene: Scene, state: State, name: str) -> str:
     """Describe how close to a wall or to itself the sheet starts."""
     if name == "contact":
-        assert scene.contact is not None
-        gap, reach = float(scene.contact.gaps(state.x)[0]), float(scene.contact.range)
+        assert scene.contact is not None and scene.lists is not None
+        gap = float(contact.nearest(scene.contact, scene.lists, state.x)[0])
+        reach = float(scene.contact.range)
         return f"; layers start {_length(gap)} apart, within its range of {_length(reach)}"
     if name.startswith("wall"):
         wall = scene.walls[int(name.split()[1])]

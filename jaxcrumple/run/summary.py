@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
+from jaxcrumple.contact.energy import nearest
 from jaxcrumple.measure.creases import crease_length, folded_hinges
 from jaxcrumple.measure.intersections import count_intersections
 from jaxcrumple.measure.strain import edge_strain
@@ -54,9 +55,9 @@ def figures(setup: Setup, state: State) -> dict[str, Any]:
 def _contacts(mesh: Mesh, scene: Scene, x: np.ndarray) -> dict[str, Any]:
     """Count intersections and contacts; find the smallest distance in m of two sites in contact, or None."""
     found: dict[str, Any] = {"intersections": count_intersections(mesh, x), "min_gap": None, "contacts": 0}
-    if scene.contact is None:
+    if scene.contact is None or scene.lists is None:
         return found
-    gap, count = scene.contact.gaps(jnp.asarray(x))
+    gap, count, _ = nearest(scene.contact, scene.lists, jnp.asarray(x))
     return found | {"min_gap": float(gap) if count else None, "contacts": int(count)}
 
 

@@ -10,7 +10,7 @@ from jax import Array
 
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float
-from jaxcrumple.contact.energy import SelfContact
+from jaxcrumple.contact.parameters import SelfContact
 from jaxcrumple.material.material import Material
 from jaxcrumple.mesh.files import read_surface
 from jaxcrumple.mesh.files.sheet import unit_length

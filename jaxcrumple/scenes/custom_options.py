@@ -18,7 +18,7 @@ from pydantic import (
     model_validator,
 )
 
-from jaxcrumple.contact.energy import Potential
+from jaxcrumple.contact.parameters import Potential
 from jaxcrumple.contact.sites import MOST_LEVEL
 from jaxcrumple.mesh.files import MeshError
 from jaxcrumple.mesh.files.sheet import unit_length

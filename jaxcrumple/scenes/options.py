@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from jaxcrumple.contact.energy import Potential
+from jaxcrumple.contact.parameters import Potential
 from jaxcrumple.contact.sites import MOST_LEVEL
 from jaxcrumple.options.units import LENGTH, TIME, Metre, MetrePerSecond, Newton, Radian, Second
 from jaxcrumple.scenes.axial import TIMES as AXIAL

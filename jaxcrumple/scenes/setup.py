@@ -10,7 +10,7 @@ from jax import Array
 
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import is_known
-from jaxcrumple.contact.energy import SelfContact
+from jaxcrumple.contact.parameters import SelfContact
 from jaxcrumple.material.material import Material, changed
 from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.model.damping import PaperDashpot

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxcrumple._jax.memory import require
-from jaxcrumple.contact.energy import Potential, SelfContact
+from jaxcrumple.contact.parameters import Potential, SelfContact
 from jaxcrumple.material.material import Material
 from jaxcrumple.mesh.generate import disc, rectangle
 from jaxcrumple.mesh.mesh import FloatArray, Mesh

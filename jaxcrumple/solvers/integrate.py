@@ -14,19 +14,19 @@ from jaxcrumple._jax.tree import as_float, require_shape, select
 from jaxcrumple.contact.lists import motion
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.contact.schedule import (
-    Lists,
+    Schedule,
     largest_move,
     listed,
     listed_active,
     ready_for,
     ready_to_restore,
     renewed,
-    start_lists,
-    state_lists,
+    rescheduled,
+    start_schedule,
     still_ready,
     waits,
     with_active,
-    without_places,
+    without_matrix,
 )
 from jaxcrumple.solvers.explicit.base import with_slopes
 from jaxcrumple.solvers.implicit.base import Attempt, aligns
@@ -58,7 +58,7 @@ SMALLEST_STEP = 1e-13
 
 class _Carry(NamedTuple):
     state: State
-    lists: Lists | None
+    schedule: Schedule | None
     log: Log
     factor: Factor | None
     held: Array
@@ -93,18 +93,20 @@ def integrate(
     check_state(scene, state)
     checked_solver(solver)
     require_shape("t_stop", t_stop, ())
-    scene = scene if solver.one_matrix else without_places(scene)
-    state, lists = start_lists(scene, state, solver.has(EXPLICIT))
+    scene = scene if solver.one_matrix else without_matrix(scene)
+    state, schedule = start_schedule(scene, state, solver.has(EXPLICIT))
     start_h = jnp.where(state.h > 0, state.h, jnp.minimum(solver.first_step, solver.max_step))
     known = jnp.any(state.stage == jnp.asarray(solver.stages))
     stage = jnp.where(known, state.stage, solver.stages[0])
     state = eqx.tree_at(lambda s: (s.h, s.stage), state, (start_h, stage))
-    factor = None if solver.implicit is None else solver.implicit.linear.start(scene.pattern)
+    factor = None
+    if solver.implicit is not None:
+        factor = solver.implicit.linear.start(listed(scene, schedule).sparsity)
     left, log = as_float(max_attempts), empty_log(LOG_CAPACITY, scene.n_nodes, trail)
     nothing = jnp.asarray(0)
     # Only an exact solver reuses a factor in later steps. It has none at the start of a call.
     held = jnp.asarray(solver.implicit is None or not solver.implicit.linear.exact)
-    carry = _Carry(state, lists, log, factor, held, stay(state), nothing, nothing, left, state.t >= t_stop)
+    carry = _Carry(state, schedule, log, factor, held, stay(state), nothing, nothing, left, state.t >= t_stop)
 
     def stages(carry: _Carry) -> _Carry:
         carry = _renewed(scene, carry._replace(rounds=carry.rounds + 1), solver)
@@ -114,7 +116,7 @@ def integrate(
             carry = _explicit_stage(scene, carry, t_stop, solver)
         if len(solver.stages) == 1:
             return carry
-        now = listed(scene, carry.lists)
+        now = listed(scene, carry.schedule)
         state, log = handed_over(now, carry.state, carry.log, carry.handover)
         return carry._replace(state=state, log=log, handover=stay(state))
 
@@ -129,15 +131,15 @@ def _renewed(scene: Scene, carry: _Carry, solver: Integrator) -> _Carry:
 
     The limit is part of the state, so that an interrupted run continues with the same numbers.
     """
-    state, lists = renewed(scene, carry.state, carry.lists)
-    now, waiting = listed(scene, lists), waits(state)
+    state, schedule = renewed(scene, carry.state, carry.schedule)
+    now, waiting = listed(scene, schedule), waits(state)
     due = _limit_is_due(carry) & ~waiting
     limit = where_needed(due, solver.measured, state.limit, now, state.x, state.t, state.p)
     measured = state.monitor.measured | due
     state = eqx.tree_at(lambda s: (s.limit, s.monitor.measured), state, (limit, measured))
     unsound = ~_is_sound(scene, state) & ~waiting
     state = _with_result(state, unsound, RESULTS.nonfinite)
-    return carry._replace(state=state, lists=lists)
+    return carry._replace(state=state, schedule=schedule)
 
 
 def _limit_is_due(carry: _Carry) -> Array:
@@ -169,7 +171,7 @@ def _going(carry: _Carry) -> Array:
 def _interrupted(carry: _Carry) -> Array:
     """Return whether a stage change, a limit measurement or a list rebuild must precede the next step."""
     over = (carry.handover.stage != carry.state.stage) | _limit_is_due(carry)
-    return over if carry.lists is None else over | carry.lists.due
+    return over if carry.schedule is None else over | carry.schedule.due
 
 
 def _tried(
@@ -218,7 +220,7 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
     bounded = jnp.asarray(False)
     if scene.contact is not None:
         ahead, known = solver.implicit.predict(scene, state, wanted), state.history.count > 1
-        share = largest_move(scene, carry.lists, state.x, ahead, known)
+        share = largest_move(scene, carry.schedule, state.x, ahead, known)
         wanted, bounded = wanted * share, known & (share < 1)
     h, lands = _clip_step(state.t, wanted, t_stop)
     if scene.contact is None:
@@ -227,22 +229,22 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
 
     restores = _restores(carry)
     differs = solver.implicit.differs(scene, state, h)
-    state, lists, ready = ready_for(scene, state, carry.lists, ahead, differs)
-    to_restore, ready_then = ready_to_restore(scene, carry.state, carry.lists)
+    state, schedule, ready = ready_for(scene, state, carry.schedule, ahead, differs)
+    to_restore, ready_then = ready_to_restore(scene, carry.state, carry.schedule)
     state = select(restores, carry.state, state)
-    lists, ready = select(restores, to_restore, lists), jnp.where(restores, ready_then, ready)
+    schedule, ready = select(restores, to_restore, schedule), jnp.where(restores, ready_then, ready)
 
     def attempt(carry: _Carry) -> _Carry:
         return _implicit_attempt(scene, carry, t_stop, solver, wanted, h, lands, bounded)
 
-    return jax.lax.cond(ready, attempt, lambda carry: carry, carry._replace(state=state, lists=lists))
+    return jax.lax.cond(ready, attempt, lambda carry: carry, carry._replace(state=state, schedule=schedule))
 
 
 def _implicit_attempt(
     scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted, h, lands, bounded
 ) -> _Carry:
     assert solver.implicit is not None and carry.factor is not None
-    scene = listed(scene, carry.lists)
+    scene = listed(scene, carry.schedule)
     state, aligning = carry.state, aligns(carry.state)
     tried = solver.implicit.attempt(scene, state, h, carry.factor, carry.held)
     moved = _moved(scene, state, tried, h, jnp.where(lands, t_stop, state.t + h), solver)
@@ -266,7 +268,7 @@ def _implicit_attempt(
     moved = _given_up(moved, hopeless, tried.cause)
     carry = carry._replace(factor=tried.factor, held=jnp.ones_like(carry.held))
     after = _tried(carry, moved, log, handover, IMPLICIT_COST, tried.accepted, lands)
-    restored = carry._replace(lists=state_lists(state, carry.lists))
+    restored = carry._replace(schedule=rescheduled(state, carry.schedule))
     return after._replace(
         **{
             name: select(tried.restored, getattr(restored, name), getattr(after, name))
@@ -334,7 +336,7 @@ def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrat
     def body(carry: _Carry) -> _Carry:
         return _explicit_step(scene, carry, t_stop, solver)
 
-    now = listed(scene, carry.lists)
+    now = listed(scene, carry.schedule)
     carry = carry._replace(state=with_slopes(now, carry.state, _takes_explicit(carry)))
     return jax.lax.while_loop(_takes_explicit, body, carry)
 
@@ -352,33 +354,33 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
     wanted = jnp.minimum(jnp.where(started, jnp.minimum(state.h_explicit, cap), cap), solver.max_step)
     if scene.contact is None:
         return _explicit_attempt(scene, carry, t_stop, solver, wanted, cap)
-    wanted = wanted * largest_move(scene, carry.lists, state.x, state.x + wanted * state.v)
+    wanted = wanted * largest_move(scene, carry.schedule, state.x, state.x + wanted * state.v)
     straight = state.x + wanted * state.v
     following = straight + 0.5 * wanted**2 * state.slopes.acceleration
     differs = motion(straight, following)
 
-    def looked_ahead() -> tuple[State, Lists | None, Array]:
+    def looked_ahead() -> tuple[State, Schedule | None, Array]:
         ahead = state.x + LOOK_AHEAD * wanted * state.v
-        ahead = state.x + largest_move(scene, carry.lists, state.x, ahead) * (ahead - state.x)
-        return ready_for(scene, state, carry.lists, ahead)
+        ahead = state.x + largest_move(scene, carry.schedule, state.x, ahead) * (ahead - state.x)
+        return ready_for(scene, state, carry.schedule, ahead)
 
-    holds, held = still_ready(scene, state, carry.lists, following, differs), (state, carry.lists, True)
-    after, lists, ready = jax.lax.cond(holds, lambda: held, looked_ahead)
+    holds, held = still_ready(scene, state, carry.schedule, following, differs), (state, carry.schedule, True)
+    after, schedule, ready = jax.lax.cond(holds, lambda: held, looked_ahead)
     # Under vmap every lane runs this code, so each lane must check for itself that it takes the step.
     going = ready & _takes_explicit(carry)
 
     def attempt(carry: _Carry) -> _Carry:
-        assert carry.lists is not None
-        now, lists = with_active(scene, carry.state, carry.lists, following, differs, going)
-        carry = carry._replace(state=now, lists=lists)
+        assert carry.schedule is not None
+        now, schedule = with_active(scene, carry.state, carry.schedule, following, differs, going)
+        carry = carry._replace(state=now, schedule=schedule)
         return _explicit_attempt(scene, carry, t_stop, solver, wanted, cap)
 
-    return jax.lax.cond(ready, attempt, lambda carry: carry, carry._replace(state=after, lists=lists))
+    return jax.lax.cond(ready, attempt, lambda carry: carry, carry._replace(state=after, schedule=schedule))
 
 
 def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted, cap) -> _Carry:
     assert solver.explicit is not None
-    scene, state, order = listed_active(scene, carry.lists), carry.state, solver.explicit.order
+    scene, state, order = listed_active(scene, carry.schedule), carry.state, solver.explicit.order
     h, lands = _clip_step(state.t, wanted, t_stop)
     tried = solver.explicit.attempt(scene, state, h, cap)
     moved = eqx.tree_at(
@@ -403,7 +405,7 @@ def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, w
     )
     log = follow(log, moved.x, moved.t, h, state.stage, order, tried.accepted)
     handover = after_explicit(scene, moved, tried.accepted, cap, solver)
-    if carry.lists is not None:
-        turn = jnp.where(tried.accepted, tried.turn, carry.lists.turn)
-        carry = carry._replace(lists=carry.lists._replace(turn=turn))
+    if carry.schedule is not None:
+        turn = jnp.where(tried.accepted, tried.turn, carry.schedule.turn)
+        carry = carry._replace(schedule=carry.schedule._replace(turn=turn))
     return _tried(carry, moved, log, handover, EXPLICIT_COST, tried.accepted, lands)

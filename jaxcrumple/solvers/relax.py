@@ -13,8 +13,8 @@ from jaxcrumple._jax.program_cache import make_room
 from jaxcrumple._jax.tree import as_float, is_known, is_number, require_limit
 from jaxcrumple.contact.lists import motion
 from jaxcrumple.scene import Scene
-from jaxcrumple.solvers.contact.reallocate import Renewal
-from jaxcrumple.solvers.contact.schedule import passes, sharpest, without_places
+from jaxcrumple.solvers.contact.reallocate import Reallocation
+from jaxcrumple.solvers.contact.schedule import passes, sharpest, without_matrix
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
 from jaxcrumple.solvers.linear.registry import choose_linear_solver
 from jaxcrumple.solvers.start import check_gap, check_start
@@ -34,7 +34,7 @@ CORRECTIONS, SETTLED = 5, 0.1
 FORCING = 1e-6
 # Shift for the count of negative eigenvalues, in units of the largest spring frequency squared.
 PROBE_SHIFT = 1e-12
-# A step may use this share of the reach of the contact lists.
+# A step may use this share of the skin of the contact lists.
 STRIDE = 0.99
 # Default tolerance: the share RELATIVE of the force scale, but at least ROUNDINGS times the rounding error.
 RELATIVE, ROUNDINGS = 1e-9, 8.0
@@ -172,15 +172,15 @@ def relax(
 
 def _relax_apart(scene: Scene, state: State, tolerance: Array | None, solver, left: Array) -> Relaxed:
     """Repeat `_relax`, with new contact lists for each call."""
-    renewal, shift, most = Renewal(scene, solver.one_matrix), _first_shift(scene), left
-    scene = renewal.first(scene, state)
+    reallocation, shift, most = Reallocation(scene, solver.one_matrix), _first_shift(scene), left
+    scene = reallocation.first(scene, state)
     check_gap(scene, state)
     while True:
         outcome, shift = _relax(scene, state, tolerance, solver, left, shift)
         left, state = left - outcome.iterations, outcome.state
         if not bool(outcome.result == _WHY.reach) or left <= 0:
             return outcome._replace(iterations=most - left)
-        scene = renewal.first(scene, state)
+        scene = reallocation.first(scene, state)
 
 
 def _first_shift(scene: Scene) -> Array:
@@ -219,7 +219,9 @@ def _within_reach(scene: Scene, x: Array, step: Array) -> Array:
     """Shorten the step (n, 3) from `x` to the reach of contact lists that were built there."""
     if scene.contact is None:
         return step
-    reach = STRIDE * jnp.min(scene.contact.near.around.reach)
+    if scene.lists is None:
+        return jnp.zeros_like(step)
+    reach = STRIDE * jnp.min(scene.lists.pairs.reference.skin)
     # A zero step gives an infinite quotient, and stays zero.
     return step * jnp.minimum(1.0, reach / jnp.max(motion(x, x + step)))
 
@@ -243,7 +245,7 @@ def _stepped(scene: Scene, state: State, point: _Point, values: Array, factor: F
     def correct(carry: tuple) -> tuple:
         _, count, turning, _, _ = carry
         rhs = point.force + turning
-        solution = linear.solve(scene.pattern, factor, values, rhs.reshape(-1), FORCING)
+        solution = linear.solve(scene.sparsity, factor, values, rhs.reshape(-1), FORCING)
         y = point.x + _within_reach(scene, point.x, solution.x.reshape(point.x.shape))
         new = _free(scene, state, scene.membrane.turning_force(point.x, y))
         return y, count + 1, new, _size(new - turning), solution.indefinite
@@ -264,7 +266,7 @@ def _relax(
     scene: Scene, state: State, given: Array | None, linear, max_iterations: Array, shift: Array
 ) -> tuple[Relaxed, Array]:
     """Return the outcome and the last shift."""
-    scene = scene if linear.one_matrix else without_places(scene)
+    scene = scene if linear.one_matrix else without_matrix(scene)
     top = _largest(scene)
 
     def own_tolerance(carry: _Carry) -> Array:
@@ -276,7 +278,7 @@ def _relax(
     def body(carry: _Carry) -> _Carry:
         old = carry.point
         values = elastic_tangent(scene, old.x, state.p, state.t, carry.shift, carry.taut)
-        factor = linear.factor(scene.pattern, values, carry.factor)
+        factor = linear.factor(scene.sparsity, values, carry.factor)
         x, indefinite = _stepped(scene, state, old, values, factor, linear)
         new = _point(scene, state, x)
         # Near the minimum the energy no longer changes in float64, but the force still decreases.
@@ -301,7 +303,7 @@ def _relax(
             soften,
             factor,
             carry.iterations + 1,
-            _rounding(x, jnp.max(values[scene.pattern.diagonal] - jnp.repeat(carry.shift * scene.mass, 3))),
+            _rounding(x, jnp.max(values[scene.sparsity.diagonal] - jnp.repeat(carry.shift * scene.mass, 3))),
             carry.moved | keep,
             held_up,
             lost & ~keep & ~indefinite,
@@ -314,7 +316,7 @@ def _relax(
 
     no, point = jnp.asarray(False), _point(scene, state, state.x)
     start = _Carry(
-        point, shift, no, linear.start(scene.pattern), jnp.asarray(0),
+        point, shift, no, linear.start(scene.sparsity), jnp.asarray(0),
         _rounding(state.x, VALENCE * jnp.max(scene.membrane.stiffness)), no, no, no, _WHY.budget,
     )  # fmt: skip
     idle = no
@@ -325,7 +327,7 @@ def _relax(
     # The iteration shifts its matrices until they are definite, so count eigenvalues of the unshifted one. A
     # shift just above rounding remains, so that rigid motions of a free sheet do not count.
     bare = elastic_tangent(scene, end.point.x, state.p, state.t, PROBE_SHIFT * top, no)
-    last = linear.factor(scene.pattern, bare, end.factor)
+    last = linear.factor(scene.sparsity, bare, end.factor)
     linear.release(last, last.negative)
     rested = restarted(scene, state, end.point.x, jnp.zeros_like(end.point.x))
     converged = (left <= tolerance(end)) & ~idle

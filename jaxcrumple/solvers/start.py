@@ -5,8 +5,10 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxcrumple.contact.energy import Contact
+from jaxcrumple.contact.energy import nearest
 from jaxcrumple.contact.host_broad_phase import Search
+from jaxcrumple.contact.lists import SitePairs
+from jaxcrumple.contact.parameters import Contact
 from jaxcrumple.geometry.intersections import intersections
 from jaxcrumple.model.bending import FOLD_STOP
 from jaxcrumple.scene import Scene
@@ -129,36 +131,36 @@ def check_gap(scene: Scene, state: State) -> None:
     **Raises:** ValueError for layers that touch, that are so close that the contact force has no reliable
     direction, or that lie within the core of a barrier. It states the distance and names two triangles.
     """
-    contact = scene.contact
-    assert contact is not None
-    _check_touching(contact, np.abs(np.asarray(state.x)).max())
-    gap, _, owner = contact.nearest(state.x)
+    contact, lists = scene.contact, scene.lists
+    assert contact is not None and lists is not None
+    _check_touching(contact, lists.pairs, np.abs(np.asarray(state.x)).max())
+    gap, _, owner = nearest(contact, lists, state.x)
     least = float(CLOSEST * contact.range if contact.core is None else contact.core)
     if float(gap) <= least:
         raise ValueError(
-            f"the sheet starts {float(gap):.3g} m from itself, at triangles {_pair(contact, owner)}; contact "
-            f"of range {float(contact.range):.3g} m needs more than {least:.3g} m. Start from layers farther "
-            "apart, or choose another range."
+            f"the sheet starts {float(gap):.3g} m from itself, at triangles "
+            f"{_names(contact, lists.pairs, owner)}; contact of range {float(contact.range):.3g} m needs "
+            f"more than {least:.3g} m. Start from layers farther apart, or choose another range."
         )
 
 
-def _check_touching(contact: Contact, size: float) -> None:
-    near, count = contact.near, int(contact.near.pair_count)
+def _check_touching(contact: Contact, pairs: SitePairs, size: float) -> None:
+    count = int(pairs.triangle_count)
     if count == 0:
         return
-    distance = np.asarray(near.distance)[:count]
-    nearest = int(np.argmin(distance))
-    if distance[nearest] <= max(ROUNDING * float(contact.range), PLACES * np.spacing(size)):
+    distance = np.asarray(pairs.distance)[:count]
+    closest = int(np.argmin(distance))
+    if distance[closest] <= max(ROUNDING * float(contact.range), PLACES * np.spacing(size)):
         raise ValueError(
-            f"the sheet starts touching itself, at triangles {_pair(contact, nearest)}, so the contact force "
-            f"has no direction; separate the layers, by {float(contact.range):.3g} m for a start without "
-            "force, or leave contact out."
+            f"the sheet starts touching itself, at triangles {_names(contact, pairs, closest)}, so the "
+            f"contact force has no direction; separate the layers, by {float(contact.range):.3g} m for a "
+            "start without force, or leave contact out."
         )
 
 
-def _pair(contact: Contact, place: ArrayLike) -> str:
-    """Name the nodes of the two triangles at index `place` of the pair list."""
-    triangles = np.asarray(contact.near.triangles)[int(np.asarray(place))]
+def _names(contact: Contact, pairs: SitePairs, place: ArrayLike) -> str:
+    """Name the nodes of the two triangles at index `place` of the list."""
+    triangles = np.asarray(pairs.triangles)[int(np.asarray(place))]
     return " and ".join(_ids(nodes) for nodes in np.asarray(contact.faces)[triangles])
 
 

@@ -11,7 +11,7 @@ from jax import Array
 from jax.sharding import Mesh as DeviceMesh
 from jax.sharding import NamedSharding, PartitionSpec
 
-from jaxcrumple.scene import Scene
+from jaxcrumple.scene import Scene, with_lists
 from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import State
@@ -40,7 +40,7 @@ def lane(tree: Any, index: int) -> Any:
 
 
 def differing(inputs: Sequence[Inputs]) -> Inputs:
-    """Return a tree of booleans: whether lanes differ in an array, now or once they move.
+    """Return a tree of booleans: whether lanes differ in an array.
 
     **Raises:** ValueError if lanes differ in structure or array sizes.
     """
@@ -53,14 +53,7 @@ def differing(inputs: Sequence[Inputs]) -> Inputs:
                 f"and contact_level{difference}; split the sweep, or choose "
                 "backend='processes'."
             )
-    mask = jax.tree.map(lambda first, *rest: any(not _same(first, one) for one in rest), *arrays)
-    if inputs[0][0].contact is not None:
-        mask = eqx.tree_at(
-            lambda pair: (pair[0].contact.near, pair[0].contact.candidates),
-            mask,
-            replace_fn=lambda lists: jax.tree.map(lambda _: True, lists),
-        )
-    return mask
+    return jax.tree.map(lambda first, *rest: any(not _same(first, one) for one in rest), *arrays)
 
 
 def _difference(one: Inputs, other: Inputs) -> str:
@@ -81,7 +74,12 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def lanes_of(inputs: Sequence[Inputs], mask: Inputs, devices: DeviceMesh) -> Lanes:
-    """Distribute scenes and solvers as lanes on devices; `mask` marks the arrays that differ by lane."""
+    """Distribute scenes and solvers as lanes on devices; `mask` marks the arrays that differ by lane.
+
+    Every lane has contact lists of its own.
+    """
+    lists = jax.tree.map(lambda _: True, eqx.filter(inputs[0][0].lists, eqx.is_array))
+    mask = with_lists(mask[0], lists), mask[1]
     own = [eqx.filter(eqx.filter(pair, eqx.is_array), mask) for pair in inputs]
     arrays, static = eqx.partition(inputs[0], eqx.is_array)
     everywhere = NamedSharding(devices, PartitionSpec())

@@ -16,137 +16,148 @@ from jaxcrumple.contact.adjacency import PLACED_TURN, largest_turn
 from jaxcrumple.contact.host_broad_phase import Search
 from jaxcrumple.contact.lists import (
     SOON,
-    Around,
-    Candidates,
-    Room,
+    CandidatePairs,
+    Capacity,
+    ContactLists,
+    Reference,
     doubled,
-    first_room,
+    first_capacity,
     no_candidates,
-    no_neighbors,
+    no_pairs,
 )
-from jaxcrumple.contact.narrow_phase import find_near
-from jaxcrumple.scene import Scene, require_scene, with_near
+from jaxcrumple.contact.narrow_phase import find_pairs
+from jaxcrumple.scene import Scene, require_scene, with_lists
+from jaxcrumple.solvers.contact.schedule import empty_lists
 from jaxcrumple.state import Listing, State, check_positions, first_listing
 
-_find_near = eqx.filter_jit(find_near)
+_find_pairs = eqx.filter_jit(find_pairs)
 # First capacity for candidates per node, and its lower limit. In a fine mesh the candidates include the next
 # neighbours of all triangles.
 CANDIDATES_PER_NODE, LEAST_CANDIDATES = 16, 32_000
-# Capacity of the merged matrix in pairs of triangles, relative to that of the lists.
+# Capacity of the matrix in pairs of triangles, relative to that of the lists.
 PLACES = 2
 
 
-class Renewal:
-    """Rebuild the contact lists of one run, and hold their capacities.
+class Reallocation:
+    """Rebuild the contact lists of one run on the host, and hold their capacities.
 
     **Arguments:** `scene`: with contact; `merged`: whether a direct solver needs the tangent in one matrix.
     """
 
     def __init__(self, scene: Scene, merged: bool):
         contact = scene.contact
-        assert contact is not None and scene.pattern.contact is not None
+        assert contact is not None
+        self.contact = contact
         self.search = Search(contact, np.asarray(scene.bending.nodes))
         self.merger = Merger(scene.pattern, np.asarray(contact.faces)) if merged else None
+        before = _lists(scene)
         least = max(CANDIDATES_PER_NODE * scene.n_nodes, LEAST_CANDIDATES)
-        self.candidates = max(least, contact.candidates.triangles.shape[0])
-        first = first_room(scene.n_nodes)
+        self.candidates = max(least, before.candidates.triangles.shape[0])
+        first = first_capacity(scene.n_nodes)
         # All dense crumples soon need this capacity. A smaller one costs them one more compilation, and does
         # not speed up other runs.
         first = first._replace(triangles=2 * first.triangles)
-        sizes = zip(first, contact.near.room, strict=True)
-        self.room = Room(*(max(own, before) for own, before in sizes))
-        self.places = PLACES * self.room.triangles
+        sizes = zip(first, before.pairs.capacity, strict=True)
+        self.capacity = Capacity(*(max(own, before) for own, before in sizes))
+        self.places = PLACES * self.capacity.triangles
 
     def __call__(self, scene: Scene, state: State) -> Scene:
         """Return the scene for the next call of `integrate`, after one that stopped for a list.
 
-        Every new capacity needs a compilation. Lists and merged matrix therefore grow together: when one
-        overflows, the others soon would.
+        Every new capacity needs a compilation. Lists and matrix therefore grow together: when one overflows,
+        the others soon would.
         """
-        listing = state.listing
+        listing, lists = state.listing, _lists(scene)
         assert listing is not None
         needed = np.asarray(listing.needed)
         if needed.any():
-            scene = self.grown(scene, needed)
-        if bool(listing.stale) or self._places_of(scene) < self.places:
-            scene = self.placed(scene, listing.matrix)
-        assert scene.contact is not None
-        return scene if scene.contact.near.room == self.room else _with_room(scene, self.room)
+            lists = self.grown(lists, needed)
+        if bool(listing.stale) or _places_of(lists) < self.places:
+            lists = self.placed(lists, listing.matrix)
+        fits = lists.pairs.capacity == self.capacity
+        return with_lists(scene, lists if fits else self._emptied(lists))
 
     def first(self, scene: Scene, state: State) -> Scene:
         """Return the scene for the first call of `integrate`; for a saved state, rebuild the lists it had."""
         listing = state.listing
         assert listing is not None
-        scene = self.placed(scene, listing.matrix, SOON)
-        scene = self.searched(_with_room(scene, self.room), listing.candidates)
-        assert scene.contact is not None
-        return self(self.filled(scene, first_listing(scene.contact, state.x).near), state)
+        lists = self._emptied(self.placed(_lists(scene), listing.matrix, SOON))
+        lists = self.searched(scene, lists, listing.candidates)
+        lists = self.filled(lists, first_listing(self.contact, state.x).pairs)
+        return self(with_lists(scene, lists), state)
 
-    def filled(self, scene: Scene, around: Around) -> Scene:
-        """Return the scene with site pairs for the motions `around`; increase capacities until they fit.
+    def filled(self, lists: ContactLists, reference: Reference) -> ContactLists:
+        """Return the lists with site pairs for the motions `reference`; increase capacities until they fit.
 
         The narrow phase is a separate program here, because it compiles faster than a run.
         """
-        assert scene.contact is not None
-        if int(scene.contact.candidates.count) == 0:
+        if int(lists.candidates.count) == 0:
             # Without candidates there are no site pairs.
-            return with_near(scene, eqx.tree_at(lambda near: near.around, scene.contact.near, around))
+            return lists._replace(pairs=eqx.tree_at(lambda pairs: pairs.reference, lists.pairs, reference))
         while True:
-            assert scene.contact is not None
-            near = _find_near(scene.contact, around)
-            if not np.any(near.overflow):
-                return with_near(scene, near)
-            scene = self.grown(scene, np.append(near.needed, 0))
+            pairs = _find_pairs(self.contact, lists.candidates, reference, lists.pairs.capacity)
+            if not pairs.overflow:
+                return lists._replace(pairs=pairs)
+            lists = self.grown(lists, np.append(pairs.needed, 0))
 
-    def grown(self, scene: Scene, needed: np.ndarray) -> Scene:
-        """Return the scene with capacities doubled until they hold `SOON` times `needed` (4,).
+    def grown(self, lists: ContactLists, needed: np.ndarray) -> ContactLists:
+        """Return the lists with capacities doubled until they hold `SOON` times `needed` (4,).
 
         The candidates grow only after an overflow.
         """
-        make_room("lists", self.room)  # for the program with the new capacities
-        sizes = zip(self.room, needed[:3], strict=True)
-        self._enlarge(max(doubled(room, int(SOON * much)) // room for room, much in sizes))
-        self.places = max(self.places, PLACES * self.room.triangles)
+        make_room("lists", self.capacity)  # for the program with the new capacities
+        sizes = zip(self.capacity, needed[:3], strict=True)
+        self._enlarge(max(doubled(size, int(SOON * much)) // size for size, much in sizes))
+        self.places = max(self.places, PLACES * self.capacity.triangles)
         if needed[3] > self.candidates:
             self.candidates = doubled(self.candidates, int(SOON * needed[3]))
-            scene = _with_candidates(scene, self.candidates)
-        return _with_room(scene, self.room)
+            lists = _with_candidates(lists, self.candidates)
+        return self._emptied(lists)
 
-    def searched(self, scene: Scene, around: Around) -> Scene:
-        """Return the scene with the candidates for the motions `around`, from the broad phase on the host."""
-        pairs, folded = self.search.find(np.asarray(around.x), np.asarray(around.reach))
+    def searched(self, scene: Scene, lists: ContactLists, reference: Reference) -> ContactLists:
+        """Return the lists with the candidates for the motions `reference`, from the host's broad phase."""
+        pairs, folded = self.search.find(np.asarray(reference.x), np.asarray(reference.skin))
         self.candidates = doubled(self.candidates, len(pairs))
         triangles = np.zeros((self.candidates, 2), np.int32)
         triangles[: len(pairs)] = pairs
-        count = jnp.asarray(len(pairs), int)
-        ways = jnp.asarray(folded)
-        found = Candidates(jnp.asarray(triangles), count, around, ways, *_turned(scene, around.x, ways))
-        return eqx.tree_at(lambda s: s.contact.candidates, scene, found)
-
-    def placed(self, scene: Scene, around: Around, spare: float = 1.0) -> Scene:
-        """Return the scene with a merged matrix that has entries for all candidates for the motions `around`.
-
-        Its capacity suffices for `spare` times as many pairs. Without a merged matrix, the scene is returned
-        as it is.
-        """
-        if self.merger is None:
-            return scene
-        pairs, _ = self.search.find(np.asarray(around.x), np.asarray(around.reach), PLACED_TURN)
-        merged = self.merger.merge(pairs, self.places, spare)
-        self.places = merged.keys.shape[0]
-        self._enlarge(doubled(PLACES * self.room.triangles, self.places) // (PLACES * self.room.triangles))
-        return eqx.tree_at(
-            lambda s: s.pattern.contact.merged, scene, merged, is_leaf=lambda leaf: leaf is None
+        count, ways = jnp.asarray(len(pairs), int), jnp.asarray(folded)
+        turned = _turned(scene, reference.x, ways)
+        return lists._replace(
+            candidates=CandidatePairs(reference, jnp.asarray(triangles), count, ways, *turned)
         )
 
-    def _enlarge(self, factor: int) -> None:
-        self.room = Room(*(factor * size for size in self.room))
+    def placed(self, lists: ContactLists, reference: Reference, spare: float = 1.0) -> ContactLists:
+        """Return the lists with a matrix that has entries for all candidates for the motions `reference`.
 
-    def _places_of(self, scene: Scene) -> float:
-        """Return the capacity of the merged matrix in pairs of triangles; infinity if there is none."""
-        assert scene.pattern.contact is not None
-        merged = scene.pattern.contact.merged
-        return np.inf if merged is None else merged.keys.shape[0]
+        Its capacity suffices for `spare` times as many pairs. For a solver that needs no such matrix, the
+        lists are returned as they are.
+        """
+        if self.merger is None:
+            return lists
+        pairs, _ = self.search.find(np.asarray(reference.x), np.asarray(reference.skin), PLACED_TURN)
+        matrix = self.merger.merge(pairs, self.places, spare)
+        self.places = matrix.keys.shape[0]
+        own = PLACES * self.capacity.triangles
+        self._enlarge(doubled(own, self.places) // own)
+        return lists._replace(matrix=matrix)
+
+    def _emptied(self, lists: ContactLists) -> ContactLists:
+        """Return the lists without site pairs, with the present capacities."""
+        return lists._replace(pairs=no_pairs(len(self.contact.rest), self.capacity))
+
+    def _enlarge(self, factor: int) -> None:
+        self.capacity = Capacity(*(factor * size for size in self.capacity))
+
+
+def _lists(scene: Scene) -> ContactLists:
+    """Return the lists of a scene with contact, by default empty ones."""
+    assert scene.contact is not None
+    return empty_lists(scene, scene.contact) if scene.lists is None else scene.lists
+
+
+def _places_of(lists: ContactLists) -> float:
+    """Return the capacity of the matrix in pairs of triangles; infinity if there is none."""
+    return np.inf if lists.matrix is None else lists.matrix.keys.shape[0]
 
 
 @eqx.filter_jit
@@ -158,18 +169,11 @@ def _turned(scene: Scene, x: Array, folded: Array) -> tuple[Array, Array]:
     return theta, largest_turn(scene.contact.fans.turning(theta), folded)
 
 
-def _with_room(scene: Scene, room: Room) -> Scene:
-    """Return the scene with empty lists of site pairs of capacities `room`."""
-    assert scene.contact is not None
-    return with_near(scene, no_neighbors(scene.n_nodes, len(scene.contact.share), room))
-
-
-def _with_candidates(scene: Scene, size: int) -> Scene:
-    """Return the scene with an empty list of candidates of capacity `size`."""
-    assert scene.contact is not None
-    old = scene.contact.candidates
-    none = no_candidates(scene.n_nodes, len(old.theta), len(old.folded), size)
-    return eqx.tree_at(lambda s: s.contact.candidates, scene, none)
+def _with_candidates(lists: ContactLists, size: int) -> ContactLists:
+    """Return the lists with an empty list of candidates of capacity `size`."""
+    old = lists.candidates
+    nodes = old.reference.x.shape[0]
+    return lists._replace(candidates=no_candidates(nodes, len(old.theta), len(old.folded), size))
 
 
 @door
@@ -209,7 +213,7 @@ def with_contacts(scene: Scene, x: ArrayLike | State, needed: ArrayLike | None =
 def batch_with_contacts(scenes: Sequence[Scene], states: Sequence[State]) -> list[Scene]:
     """Build the contact lists of a batch of scenes for their states, all with the same capacities.
 
-    Scenes without contact are returned unchanged. No merged matrix for a direct solver is built.
+    Scenes without contact are returned unchanged. No matrix for a direct solver is built.
     """
     if scenes[0].contact is None:
         return list(scenes)
@@ -223,8 +227,8 @@ def batch_with_contacts(scenes: Sequence[Scene], states: Sequence[State]) -> lis
         sizes = [_sizes(scene) for scene in made]
         if len(set(sizes)) == 1:
             return made
-        *room, candidates = np.max(sizes, axis=0).tolist()
-        scenes = [_with_candidates(_with_room(scene, Room(*room)), candidates) for scene in made]
+        *capacity, candidates = np.max(sizes, axis=0).tolist()
+        scenes = [_with_sizes(scene, Capacity(*capacity), candidates) for scene in made]
         needed = np.zeros_like(needed)
 
 
@@ -234,14 +238,20 @@ def _listing(state: State) -> Listing:
 
 
 def _sizes(scene: Scene) -> tuple[int, ...]:
-    """Return the capacities of the lists: those of `Room`, and that of the candidates."""
-    assert scene.contact is not None
-    return (*scene.contact.near.room, scene.contact.candidates.triangles.shape[0])
+    """Return the capacities of the lists: those of `Capacity`, and that of the candidates."""
+    lists = _lists(scene)
+    return (*lists.pairs.capacity, lists.candidates.triangles.shape[0])
+
+
+def _with_sizes(scene: Scene, capacity: Capacity, candidates: int) -> Scene:
+    """Return the scene with empty lists of the given capacities."""
+    lists = _with_candidates(_lists(scene), candidates)
+    return with_lists(scene, lists._replace(pairs=no_pairs(scene.n_nodes, capacity)))
 
 
 def _listed(scene: Scene, listing: Listing, needed: np.ndarray, merged: bool) -> Scene:
     """Return the scene with the lists of a state's `listing` and capacities for `needed` (4,)."""
-    renewal = Renewal(scene, merged)
-    scene = renewal.grown(scene, needed)
-    scene = renewal.searched(scene, listing.candidates)
-    return renewal.filled(renewal.placed(scene, listing.matrix), listing.near)
+    own = Reallocation(scene, merged)
+    lists = own.grown(_lists(scene), needed)
+    lists = own.searched(scene, lists, listing.candidates)
+    return with_lists(scene, own.filled(own.placed(lists, listing.matrix), listing.pairs))

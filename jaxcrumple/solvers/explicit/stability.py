@@ -1,14 +1,16 @@
 """The stability limit of explicit steps: bounds of the largest frequency and decay rates of a sheet."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
+from jaxcrumple.contact.coverage import covers
+from jaxcrumple.contact.energy import nearer_product
 from jaxcrumple.scene import Scene
 from jaxcrumple.state import Limit
 from jaxcrumple.system import elastic_tangent
@@ -39,14 +41,14 @@ def fastest(scene: Scene, x: Array, t: ArrayLike = 0.0, p: Array | None = None) 
     scene, x, p = jax.lax.stop_gradient((scene, x, p))
     own = _alone(scene)
     rows, root = (
-        own.pattern.expand(elastic_tangent(own, x, p, jnp.asarray(t))),
+        own.sparsity.expand(elastic_tangent(own, x, p, jnp.asarray(t))),
         jnp.repeat(scene.mass, 3) ** -0.5,
     )
-    pushed = None if scene.contact is None else scene.contact.nearer_product(x)
+    pushed = _contact_product(scene, x)
 
     def product(u: Array) -> Array:
         u = root * u
-        forces = own.pattern.expanded_product(rows, u)
+        forces = own.sparsity.expanded_product(rows, u)
         return root * (forces if pushed is None else forces + pushed(u.reshape(x.shape)).reshape(-1))
 
     omega_sq = largest_eigenvalue(product, x.size)
@@ -60,9 +62,17 @@ def fastest(scene: Scene, x: Array, t: ArrayLike = 0.0, p: Array | None = None) 
 
 def _alone(scene: Scene) -> Scene:
     """Return the scene without self-contact."""
-    return eqx.tree_at(
-        lambda s: (s.contact, s.pattern.contact), scene, (None, None), is_leaf=lambda leaf: leaf is None
-    )
+    return dataclasses.replace(scene, contact=None, lists=None)
+
+
+def _contact_product(scene: Scene, x: Array) -> Callable[[Array], Array] | None:
+    """Return the product with the tangent of contact, as `nearer_product` does; None without contact."""
+    if scene.contact is None:
+        return None
+    if scene.lists is not None:
+        return nearer_product(scene.contact, scene.lists, x)
+    holds = covers(scene.contact, None, x)
+    return lambda u: jnp.where(holds, jnp.zeros_like(u), jnp.nan)
 
 
 def wall_stiffness(scene: Scene, x: Array, t: ArrayLike) -> Array:

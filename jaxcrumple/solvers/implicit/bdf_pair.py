@@ -77,7 +77,7 @@ class BDFPair(AbstractImplicit):
         if scene.drag is None:
             return euler
         pull = ((scene.drag.coefficient / step.beta_h)[:, None] * euler).reshape(-1)
-        filtered = self.linear.solve(scene.pattern, factor, None, pull, FORCING).x
+        filtered = self.linear.solve(scene.sparsity, factor, None, pull, FORCING).x
         return jnp.where(aligns(state), euler, filtered.reshape(x.shape))
 
     def _error(self, scene: Scene, state: State, h, order, upper, lower, second, first_step) -> Array:

@@ -89,14 +89,14 @@ def newton(
 
     def renewed(carry: _Carry) -> Factor:
         here = select(restores, (old.step, old.x), (step, carry.x))
-        return linear.factor(scene.pattern, linearize(scene, *here)[1], carry.factor)
+        return linear.factor(scene.sparsity, linearize(scene, *here)[1], carry.factor)
 
     def tangent(carry: _Carry) -> tuple[Array | None, Factor]:
         if linear.exact:
             factor = jax.lax.cond(carry.renew, renewed, lambda carry: carry.factor, carry)
             return None, factor
         _, values = linearize(scene, step, carry.x)
-        factor = where_needed(carry.renew, linear.factor, carry.factor, scene.pattern, values, carry.factor)
+        factor = where_needed(carry.renew, linear.factor, carry.factor, scene.sparsity, values, carry.factor)
         return values, factor
 
     def body(carry: _Carry) -> _Carry:
@@ -104,7 +104,7 @@ def newton(
         values, factor = tangent(carry)
         taken = Linearization(step, carry.x, jnp.zeros_like(old.age))
         kept = select(carry.renew, taken, carry.kept)
-        solution = linear.solve(scene.pattern, factor, values, -value.reshape(-1), FORCING)
+        solution = linear.solve(scene.sparsity, factor, values, -value.reshape(-1), FORCING)
         change = _relaxation(step, kept) * solution.x.reshape(carry.x.shape)
         update = jnp.max(jnp.abs(change))
         first = jnp.isinf(carry.update)

@@ -158,7 +158,7 @@ class VariableOrder(AbstractImplicit):
             solution = self.linear.solve(pattern, factor, None, pull.reshape(-1), FORCING)
             return solution.x.reshape(pull.shape)
 
-        return where_needed(first, solve, change, scene.pattern, factor, pull)
+        return where_needed(first, solve, change, scene.sparsity, factor, pull)
 
     def _errors(self, scene: Scene, state: State, h, formula: "_Formula", x, p, change) -> Array:
         """Estimate the local errors (3,) one order below, at, and one above the step's order.

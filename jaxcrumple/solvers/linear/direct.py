@@ -143,7 +143,7 @@ def _structure(pattern: Pattern) -> tuple[Array, Array]:
     """Return row pointers and column indices of the upper triangle, contact included."""
     if pattern.contact is None:
         return pattern.indptr, pattern.indices
-    merged = pattern.contact.merged
+    merged = pattern.contact.matrix
     if merged is None:
         raise ValueError(
             "the direct solver needs the contact lists; build them by scene = "

@@ -40,7 +40,7 @@ def linear_solve(
     """
     solver = choose_linear_solver(solver)
     if not isinstance(pattern, Pattern):
-        raise ValueError(f"pattern has type {type(pattern).__name__}; it must be scene.pattern.")
+        raise ValueError(f"pattern has type {type(pattern).__name__}; it must be scene.sparsity.")
     values, rhs = as_float(values), as_float(rhs)
     size = pattern.diagonal.shape
     if values.shape != (pattern.size,) or rhs.shape != size:

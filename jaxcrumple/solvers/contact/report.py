@@ -1,0 +1,143 @@
+"""Report on the contact of a scene: what interacts, and whether and why the neighbour lists are valid."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import ArrayLike
+
+from jaxcrumple._jax.door import door
+from jaxcrumple.contact.adjacency import MOST_TURN
+from jaxcrumple.contact.coverage import apart
+from jaxcrumple.contact.energy import energy, nearest
+from jaxcrumple.contact.lists import ContactLists, Reference, motion
+from jaxcrumple.contact.parameters import Contact
+from jaxcrumple.scene import Scene, require_scene, with_lists
+from jaxcrumple.solvers.contact.reallocate import with_contacts
+from jaxcrumple.solvers.contact.schedule import sharpest
+from jaxcrumple.state import check_positions
+
+
+class ListReport(NamedTuple):
+    """Describe one list: its name, its number of entries and its capacity for them; the smallest skin of a
+    node in m; and the node that used up the largest share of its skin, with that share.
+
+    A share above 1 or an overflow makes the list invalid.
+    """
+
+    name: str
+    entries: int
+    capacity: int
+    skin: float
+    node: int
+    share: float
+
+    @property
+    def fault(self) -> str:
+        """Say why the list is not valid; empty if it is."""
+        if self.entries > self.capacity:
+            return f"{self.name} need a capacity of {self.entries}, not {self.capacity}"
+        if not self.share <= 1.0:
+            return f"node {self.node} moved {self.share:.3g} times its skin since the {self.name} were built"
+        return ""
+
+
+class ContactReport(NamedTuple):
+    """Describe the contact of a sheet at given positions.
+
+    - `valid`: whether energies and forces can be computed; `reasons`: why not, or why without lists.
+    - `energy` in J; `interacting`: number of interacting site pairs; `gap` in m: the smallest distance of two
+      of them, or infinity; `closest`: nodes of the two triangles of that pair, or None.
+    - `turn` in rad: largest turn around a node of two triangles that the candidates leave out.
+    - `lists`: the lists, coarse to fine.
+    """
+
+    valid: bool
+    reasons: tuple[str, ...]
+    energy: float
+    interacting: int
+    gap: float
+    closest: tuple[tuple[int, ...], tuple[int, ...]] | None
+    turn: float
+    lists: tuple[ListReport, ...]
+
+    def __str__(self) -> str:
+        """Return the report as a table."""
+        head = f"contact energy {self.energy:.6g} J, {self.interacting} interacting site pairs"
+        if self.closest is not None:
+            first, second = self.closest
+            head += f", smallest gap {self.gap:.4g} m between triangles {first} and {second}"
+        rows = [f"{'list':<16}{'entries':>10}{'capacity':>10}{'skin (m)':>12}{'skin used':>11}  node"]
+        rows += [
+            f"{name:<16}{entries:>10}{capacity:>10}{skin:>12.3g}{share:>11.1%}  {node}"
+            for name, entries, capacity, skin, node, share in self.lists
+        ]
+        turn = f"largest turn left out: {np.rad2deg(self.turn):.0f} of {np.rad2deg(MOST_TURN):.0f} degrees"
+        return "\n".join([head, *rows, turn, *self.reasons])
+
+
+@door
+def contact_report(scene: Scene, x: ArrayLike) -> ContactReport:
+    """Report on the contact of a scene at positions `x` (n, 3) in m; printed, it is a table.
+
+    The lists are those of the scene, or new ones for `x` if the scene has none.
+
+    **Raises:** ValueError for a scene without contact, or for positions of another shape or not finite.
+    """
+    require_scene(scene)
+    if scene.contact is None:
+        raise ValueError("the scene has no contact to report on; build it with contact=SelfContact().")
+    check_positions("x", x, scene.n_nodes)
+    scene = with_contacts(scene, x) if scene.lists is None else scene
+    assert scene.contact is not None and scene.lists is not None
+    contact, lists, x = scene.contact, scene.lists._replace(active=None), jnp.asarray(x, float)
+    numbers, place, turn, flat = _measured(with_lists(scene, lists), x)
+    reports = tuple(_reports(lists, x))
+    reasons = [report.fault for report in reports if report.fault]
+    if reasons and flat:
+        reasons.append("the sheet is so flat that no lists are needed")
+    gap, interacting = float(numbers[1]), int(numbers[2])
+    closest = _corners(contact, lists, int(place)) if interacting else None
+    valid = not reasons or bool(flat)
+    return ContactReport(
+        valid, tuple(reasons), float(numbers[0]), interacting, gap, closest, float(turn), reports
+    )
+
+
+@eqx.filter_jit
+def _measured(scene: Scene, x: Array) -> tuple[tuple[Array, Array, Array], Array, Array, Array]:
+    """Compute energy, smallest gap and number of interacting site pairs; the place of the closest pair; the
+    largest turn left out; and whether the sheet needs no lists."""
+    contact, lists = scene.contact, scene.lists
+    assert contact is not None and lists is not None
+    gap, count, place = nearest(contact, lists, x)
+    return (energy(contact, lists, x), gap, count), place, sharpest(scene, x), apart(contact, x, x)
+
+
+def _reports(lists: ContactLists, x: Array):
+    """Yield the reports of the lists, coarse to fine."""
+    candidates, pairs = lists.candidates, lists.pairs
+    yield _report("candidate pairs", candidates.count, candidates.triangles.shape[0], candidates.reference, x)
+    names = ("triangle pairs", "sites", "site pairs")
+    for name, needed, capacity in zip(names, pairs.needed, pairs.capacity, strict=True):
+        # The narrow phase counts more site pairs than it lists: neighbours at rest are among them.
+        yield _report(name, needed, capacity, pairs.reference, x)
+
+
+def _report(name: str, entries: Array, capacity: int, reference: Reference, x: Array) -> ListReport:
+    skin = np.asarray(reference.skin)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.asarray(motion(reference.x, x)) / skin
+    # A list that was never built has positions NaN.
+    share = np.where(np.isnan(share), np.inf, share)
+    node = int(np.argmax(share))
+    return ListReport(name, int(entries), capacity, float(skin.min()), node, float(share[node]))
+
+
+def _corners(contact: Contact, lists: ContactLists, place: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return the nodes of both triangles of a listed pair."""
+    faces = np.asarray(contact.faces)[np.asarray(lists.pairs.triangles)[place]]
+    first, second = (tuple(int(node) for node in nodes) for nodes in faces)
+    return first, second
