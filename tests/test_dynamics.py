@@ -141,7 +141,7 @@ def spring(x, parameters, t):
     return 0.5 * stiffness * jnp.sum((x[0] - anchor) ** 2)
 
 
-@pytest.mark.parametrize("drag", [5.0, 100.0])
+@pytest.mark.parametrize("drag", [pytest.param(5.0, marks=pytest.mark.slow), 100.0])
 def test_errors_of_a_damped_oscillation_add_up_to_less_than_rtol(drag):
     """However many steps the oscillation remembers: some 100 with the larger drag, 4000 with the smaller."""
     omega, rtol = 400.0, 1e-2

@@ -281,7 +281,10 @@ def test_quasistatic_only_never_switches():
     counters = solution.state.counters
     assert (int(counters.switches), *counters.steps[1:]) == (0, 0, 0)
     assert set(solution.history["stage"]) == {"quasistatic"}
-    # More drag makes inertia a small correction even in this snap.
+
+
+@pytest.mark.slow
+def test_more_drag_makes_inertia_a_small_correction_in_a_snap():
     damped = radial(NODES, sweeps=5, contact=None, material=Material(drag_rate=2000.0))
     ends = []
     for scheme in ("quasistatic", "dynamic"):

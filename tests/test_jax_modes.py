@@ -15,7 +15,11 @@ from jaxcrumple.model.loads import dead_load
 MESH = jc.hexagonal(3, 3, 1e-2)
 X = MESH.vertices
 V = np.random.default_rng(0).normal(size=X.shape)
-CONTACTS = [pytest.param(None, id="phantom"), pytest.param(jc.SelfContact(), id="self-avoiding")]
+# A self-avoiding sheet has every term of a phantom one.
+CONTACTS = [
+    pytest.param(None, id="phantom", marks=pytest.mark.slow),
+    pytest.param(jc.SelfContact(), id="self-avoiding"),
+]
 
 
 @contextlib.contextmanager
