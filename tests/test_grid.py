@@ -16,6 +16,7 @@ from jaxcrumple.contact.broad_phase import find_candidates
 from jaxcrumple.contact.coverage import sharpest
 from jaxcrumple.contact.host_broad_phase import Search, _tree_pairs
 from jaxcrumple.contact.lists import Reference
+from jaxcrumple.contact.skin import CANDIDATES, PAIRS
 from jaxcrumple.geometry.distance import primitive_distances
 from jaxcrumple.geometry.hinge import gather
 
@@ -133,8 +134,8 @@ def test_when_lists_are_made_changes_no_bit(monkeypatch):
     solver = jc.integrator(1e-2, scheme="explicit")
     usual = jc.simulate(scene, state, 1.0, solver=solver, max_attempts=900).state
     assert not np.array_equal(usual.listing.candidates.x, state.listing.candidates.x)
-    for name, value in (("SEVERAL", 1.0), ("STEPS", 4.0)):
-        monkeypatch.setattr(f"jaxcrumple.solvers.contact.schedule.{name}", value)
+    for name, policy, steps in (("PAIRS", PAIRS, 1.0), ("CANDIDATES", CANDIDATES, 4.0)):
+        monkeypatch.setattr(f"jaxcrumple.solvers.contact.schedule.{name}", policy._replace(steps=steps))
     own = eqx.filter_jit(lambda *arguments: jc.integrate(*arguments))
     monkeypatch.setattr(importlib.import_module("jaxcrumple.simulate"), "_integrate", own)
     often = jc.simulate(scene, state, 1.0, solver=solver, max_attempts=900).state

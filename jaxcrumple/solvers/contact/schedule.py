@@ -1,6 +1,7 @@
 """Rebuild the contact lists during a run, limit the steps to them, and reject steps that would pass through
 the sheet or a wall."""
 
+import enum
 from functools import partial
 from typing import NamedTuple
 
@@ -30,6 +31,7 @@ from jaxcrumple.contact.lists import (
 )
 from jaxcrumple.contact.narrow_phase import find_pairs
 from jaxcrumple.contact.parameters import Contact
+from jaxcrumple.contact.skin import ACTIVE, CANDIDATES, MATRIX, PAIRS
 from jaxcrumple.model.walls import Wall
 from jaxcrumple.scene import Scene, with_lists
 from jaxcrumple.state import NEVER, Listing, State
@@ -37,24 +39,35 @@ from jaxcrumple.state import NEVER, Listing, State
 # Largest move of a node in one step in ranges, without the mean motion: STRIDE, or UNKNOWN if there are no
 # earlier steps to predict it from. If no triangles are near, a known move may go as far as `Contact.calm`.
 STRIDE, UNKNOWN = 1.0, 0.25
-# A list of site pairs covers up to SEVERAL steps that move nodes by no more than WAY ranges together, times
-# the margin ROOM. It is rebuilt if its skin is LOOSE times the one needed now. All lists add the error of the
-# predicted step, between SLACK and MOST_SLACK ranges: more would list many neighbours in a flat sheet.
-SEVERAL, WAY, ROOM, SLACK, MOST_SLACK, LOOSE = 4.0, 0.25, 1.2, 0.05, 0.25, 2.0
-# Further skin of a new list of site pairs in ranges, so that it stays valid after the next step.
-HELD = 0.05
+# All lists add the error of the predicted step, between SLACK and MOST_SLACK ranges: more would list many
+# neighbours in a flat sheet. NEXT_SLACK is the same for one more explicit step.
+SLACK, MOST_SLACK, NEXT_SLACK = 0.05, 0.25, 0.01
+# Margin of a list of site pairs over the steps that it covers. It is rebuilt if its skin is LOOSE times the
+# one needed now.
+MARGIN, LOOSE = 1.2, 2.0
 # Largest skin of a list of site pairs in ranges if triangles are near; the factor absorbs rounding.
-LONGEST = 1.01 * (MOST_SLACK + HELD + 0.5 * ROOM * STRIDE)
-# Allowed error of a predicted explicit step in ranges.
-NEXT_SLACK = 0.01
-# The active set covers this many explicit steps, plus this many ranges.
-ACTIVE_STEPS, ACTIVE_SLACK = 16.0, 0.02
-# Skin of the candidates: REACH ranges plus STEPS steps like the next one. The steps contribute at most
-# FURTHEST ranges, or the skin is at most `Contact.calm` if that is more. FEWEST steps are always covered.
-REACH, STEPS, FEWEST, FURTHEST = 0.35, 16.0, 3.0, 2.0
-# The same for pairs with entries in the merged matrix, without a limit like FURTHEST: the skin is at most
-# `Contact.calm`, with which a flat sheet has no pairs, but covers PLACED_FEWEST steps.
-PLACED_REACH, PLACED_FEWEST, PLACED_STEPS = 0.75, 2.0, 32.0
+LONGEST = 1.01 * (MOST_SLACK + PAIRS.floor + 0.5 * MARGIN * STRIDE)
+
+
+class ListStatus(enum.IntEnum):
+    """Name what must precede the next step, if anything. Statuses from `REBUILD_LISTED` on need a rebuild."""
+
+    READY = 0
+    # The host must add entries to the matrix, or give the lists more capacity; the call ends.
+    WAIT_MATRIX = 1
+    WAIT_CAPACITY = 2
+    # The lists are not those that the state names: at the start of a call, or after an attempt elsewhere.
+    REBUILD_LISTED = 3
+    # The step leaves a skin.
+    REBUILD_PAIRS = 4
+    REBUILD_CANDIDATES = 5
+    # The list of site pairs for so long a step has many entries: rebuild it for a shorter step.
+    STEP_TOO_LONG = 6
+
+    @property
+    def array(self) -> Array:
+        """Return the status as an array that a loop can carry."""
+        return jnp.asarray(int(self), int)
 
 
 class Schedule(NamedTuple):
@@ -62,7 +75,7 @@ class Schedule(NamedTuple):
 
     - `lists`: the current lists; `active` is None without an explicit stage.
     - `candidates`, `pairs`: the motions that these two lists must cover after the next rebuild.
-    - `due`: whether that rebuild must precede the next step.
+    - `status`: a `ListStatus`.
     - `short`: whether triangles were near within a longer step, so that the next step must be short.
     - `turn`: `sharpest` in rad at the start of the current round of steps.
     """
@@ -70,9 +83,14 @@ class Schedule(NamedTuple):
     lists: ContactLists
     candidates: Reference
     pairs: Reference
-    due: Array
+    status: Array
     short: Array
     turn: Array
+
+    @property
+    def due(self) -> Array:
+        """Return whether a rebuild must precede the next step."""
+        return self.status >= ListStatus.REBUILD_LISTED
 
 
 def empty_lists(scene: Scene, contact: Contact) -> ContactLists:
@@ -100,8 +118,9 @@ def start_schedule(scene: Scene, state: State, explicit: bool) -> tuple[State, S
     state = eqx.tree_at(lambda s: (s.listing.stale, s.listing.needed), state, served)
     lists = empty_lists(scene, contact) if scene.lists is None else scene.lists
     lists = lists._replace(active=no_active(scene.n_nodes, lists.pairs.capacity) if explicit else None)
-    due, short, turn = jnp.asarray(True), jnp.asarray(False), jnp.asarray(jnp.inf, float)
-    return state, Schedule(lists, listing.candidates, listing.pairs, due, short, turn)
+    short, turn = jnp.asarray(False), jnp.asarray(jnp.inf, float)
+    status = ListStatus.REBUILD_LISTED.array
+    return state, Schedule(lists, listing.candidates, listing.pairs, status, short, turn)
 
 
 def rescheduled(state: State, schedule: Schedule | None) -> Schedule | None:
@@ -109,7 +128,8 @@ def rescheduled(state: State, schedule: Schedule | None) -> Schedule | None:
     if state.listing is None or schedule is None:
         return None
     listing = state.listing
-    return schedule._replace(candidates=listing.candidates, pairs=listing.pairs, due=jnp.asarray(True))
+    schedule = schedule._replace(candidates=listing.candidates, pairs=listing.pairs)
+    return schedule._replace(status=ListStatus.REBUILD_LISTED.array)
 
 
 def waits(state: State) -> Array:
@@ -156,7 +176,8 @@ def renewed(scene: Scene, state: State, schedule: Schedule | None) -> tuple[Stat
         count = jnp.where(schedule.due, -1, active.count)
         active = eqx.tree_at(lambda a: a.count, active, count)
     lists = schedule.lists._replace(candidates=candidates, pairs=pairs, active=active)
-    return state, schedule._replace(lists=lists, due=jnp.asarray(False), turn=turn)
+    status = jnp.where(full, ListStatus.WAIT_CAPACITY.array, ListStatus.READY.array)
+    return state, schedule._replace(lists=lists, status=status, turn=turn)
 
 
 def with_active(
@@ -171,7 +192,7 @@ def with_active(
     """
     contact, listing, lists = scene.contact, state.listing, schedule.lists
     assert contact is not None and listing is not None and lists.active is not None
-    skin = ACTIVE_SLACK * contact.range + ACTIVE_STEPS * motion(state.x, ahead)
+    skin = ACTIVE.skin(contact, motion(state.x, ahead))
     margin = NEXT_SLACK * contact.range + differs
     due = (state.monitor.steps == 0) | ~listing.active.covers(ahead, margin)
     reference = select(due, Reference(state.x, skin), listing.active)
@@ -224,43 +245,60 @@ def ready_for(
     contact, listing = scene.contact, state.listing
     assert contact is not None and listing is not None and schedule is not None
     schedule = schedule._replace(candidates=listing.candidates, pairs=listing.pairs)
-    lists = schedule.lists
     moved = motion(state.x, ahead)
     margin = jnp.clip(differs, SLACK * contact.range, MOST_SLACK * contact.range)
-    candidates = _candidate_reference(contact, state.x, moved, margin)
     pairs = _pair_reference(contact, state.x, ahead, moved, margin)
-    known = _made(schedule)
+    loose = jnp.mean(listing.pairs.skin) > LOOSE * jnp.mean(pairs.skin)
+    status = _status(scene, state, schedule, ahead, margin, loose)
+    stale = status == ListStatus.WAIT_MATRIX
+    new_candidates = stale | (status == ListStatus.REBUILD_CANDIDATES)
+    new_pairs = (status != ListStatus.READY) & (status != ListStatus.REBUILD_LISTED)
+    candidates = Reference(state.x, CANDIDATES.skin(contact, moved, margin))
+    listing = Listing(
+        candidates=select(new_candidates, candidates, listing.candidates),
+        pairs=select(new_pairs, pairs, listing.pairs),
+        active=select(new_pairs, nowhere(scene.n_nodes), listing.active),
+        matrix=select(stale, Reference(state.x, MATRIX.skin(contact, moved)), listing.matrix),
+        stale=stale,
+        needed=listing.needed,
+    )
+    age = jnp.where(stale, NEVER, state.kept.age)
+    state = eqx.tree_at(lambda s: (s.listing, s.kept.age), state, (listing, age))
+    ready = status == ListStatus.READY
+    # The list for the short step may be empty, so remember why the step is short until it was tried.
+    short = ~ready & (schedule.short | (schedule.lists.pairs.triangle_count > 0))
+    schedule = schedule._replace(candidates=listing.candidates, pairs=listing.pairs)
+    return state, schedule._replace(status=status, short=short), ready
+
+
+def _status(
+    scene: Scene, state: State, schedule: Schedule, ahead: Array, margin: Array, loose: Array
+) -> Array:
+    """Return what must precede a step from the state to `ahead` (n, 3) with the `margin` in m, as
+    `ListStatus`; `loose`: whether the skin of the site pairs is much larger than needed."""
+    contact, listing, lists = scene.contact, state.listing, schedule.lists
+    assert contact is not None and listing is not None
     flat = jax.lax.cond(
         lists.pairs.triangle_count == 0,
         lambda: apart(contact, state.x, ahead, APART_AHEAD),
         lambda: jnp.asarray(False),
     )
     blunt = sharpest(listed(scene, schedule), state.x) < DUE_TURN
-    renew_candidates = known & ~((listing.candidates.covers(ahead, margin) | flat) & blunt)
+    candidates_cover = (listing.candidates.covers(ahead, margin) | flat) & blunt
     # Compare with the first capacities. The current ones grow during a run, and a resumed run would decide
     # differently.
     first = jnp.asarray(first_capacity(scene.n_nodes))
     crowded = _far(contact, schedule) & jnp.any(lists.pairs.needed > first)
-    holds = listing.pairs.covers(state.x) & listing.pairs.covers(ahead, margin)
-    holds = holds & ~lists.pairs.overflow & ~crowded
-    loose = jnp.mean(listing.pairs.skin) > LOOSE * jnp.mean(pairs.skin)
-    renew_pairs = renew_candidates | (known & ~flat & (loose | ~holds))
-    stale = known & ~renew_pairs & ~_have_entries(scene, schedule)
-    listing = Listing(
-        candidates=select(renew_candidates | stale, candidates, listing.candidates),
-        pairs=select(renew_pairs | stale, pairs, listing.pairs),
-        active=select(renew_pairs | stale, nowhere(scene.n_nodes), listing.active),
-        matrix=select(stale, _matrix_reference(contact, state.x, moved), listing.matrix),
-        stale=stale,
-        needed=listing.needed,
-    )
-    age = jnp.where(stale, NEVER, state.kept.age)
-    state = eqx.tree_at(lambda s: (s.listing, s.kept.age), state, (listing, age))
-    ready = known & ~renew_pairs & ~stale
-    # The list for the short step may be empty, so remember why the step is short until it was tried.
-    short = ~ready & (schedule.short | (lists.pairs.triangle_count > 0))
-    schedule = schedule._replace(candidates=listing.candidates, pairs=listing.pairs)
-    return state, schedule._replace(due=~ready & ~stale, short=short), ready
+    pairs_cover = listing.pairs.covers(state.x) & listing.pairs.covers(ahead, margin)
+    pairs_cover = pairs_cover & ~lists.pairs.overflow & ~loose
+    reasons = {
+        ListStatus.REBUILD_LISTED: ~_made(schedule),
+        ListStatus.REBUILD_CANDIDATES: ~candidates_cover,
+        ListStatus.STEP_TOO_LONG: ~flat & crowded,
+        ListStatus.REBUILD_PAIRS: ~flat & ~pairs_cover,
+        ListStatus.WAIT_MATRIX: ~_have_entries(scene, schedule),
+    }
+    return jnp.select(list(reasons.values()), [status.array for status in reasons], ListStatus.READY.array)
 
 
 def still_ready(scene: Scene, state: State, schedule: Schedule | None, ahead: Array, differs: Array) -> Array:
@@ -289,7 +327,8 @@ def ready_to_restore(scene: Scene, state: State, schedule: Schedule | None) -> t
     there = Reference(state.kept.x, jnp.broadcast_to(SLACK * scene.contact.range, scene.n_nodes))
     schedule = schedule._replace(candidates=there, pairs=there)
     ready = _made(schedule)
-    return schedule._replace(due=~ready), ready
+    status = jnp.where(ready, ListStatus.READY.array, ListStatus.REBUILD_LISTED.array)
+    return schedule._replace(status=status), ready
 
 
 def _far(contact: Contact, schedule: Schedule) -> Array:
@@ -310,30 +349,14 @@ def _made(schedule: Schedule) -> Array:
     return made & lists.pairs.reference.equals(schedule.pairs)
 
 
-def _matrix_reference(contact: Contact, x: Array, moved: Array) -> Reference:
-    """Return the motions that the matrix must cover from positions `x` (n, 3), before steps that move nodes
-    by `moved` (n,) in m."""
-    floor = PLACED_REACH * contact.range + PLACED_FEWEST * moved
-    skin = PLACED_REACH * contact.range + PLACED_STEPS * moved
-    return Reference(x, jnp.minimum(skin, jnp.maximum(contact.calm, floor)))
-
-
-def _candidate_reference(contact: Contact, x: Array, moved: Array, margin: Array) -> Reference:
-    """Return the motions that the candidates must cover from positions `x` (n, 3), before steps that move
-    nodes by `moved` (n,) in m, with the `margin` in m."""
-    least = REACH * contact.range + margin
-    furthest = jnp.maximum(least + FURTHEST * contact.range, contact.calm)
-    return Reference(x, jnp.minimum(least + STEPS * moved, jnp.maximum(least + FEWEST * moved, furthest)))
-
-
 def _pair_reference(contact: Contact, x: Array, ahead: Array, moved: Array, margin: Array) -> Reference:
     """Return the motions that the site pairs must cover in the next steps from positions `x` (n, 3).
 
     The first step goes to `ahead` (n, 3) and moves nodes by `moved` (n,) in m; `margin` in m. The list is
     centred halfway along the predicted path, which halves the skin.
     """
-    steps = jnp.clip(WAY * contact.range / jnp.maximum(jnp.max(moved), 1e-300), 1.0, SEVERAL)
-    skin = margin + HELD * contact.range + 0.5 * ROOM * steps * moved
+    steps = PAIRS.steps_ahead(contact, moved)
+    skin = margin + PAIRS.floor * contact.range + 0.5 * MARGIN * steps * moved
     return Reference(x + 0.5 * steps * (ahead - x), skin)
 
 
