@@ -208,6 +208,16 @@ def pair_key(triangles: Any, n_faces: int) -> Any:
     return wide[:, 0] * n_faces + wide[:, 1]
 
 
+def carried(old: Array, new: Array, values: Array, default: Array | float) -> Array:
+    """Carry `values` (P, ...) of site pairs over to a rebuilt list.
+
+    `old`, `new` (P,): `SitePairs.keys` of both lists. Pairs that were not in the old list get the `default`.
+    """
+    place = jnp.minimum(jnp.searchsorted(old, new), old.shape[0] - 1)
+    same = (old[place] == new) & (new != NONE)
+    return jnp.where(same.reshape(-1, *[1] * (values.ndim - 1)), values[place], default)
+
+
 def place_type(size: int) -> type:
     """Return the narrowest integer type that counts up to `size`; wider integers are slower."""
     return jnp.int32 if size <= jnp.iinfo(jnp.int32).max else jnp.int64
