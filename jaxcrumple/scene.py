@@ -83,7 +83,7 @@ class Scene(eqx.Module):
         blocks = ContactBlocks.of(self.lists.pairs, self.contact.faces, self.lists.matrix)
         return eqx.tree_at(lambda p: p.contact, self.pattern, blocks, is_leaf=lambda leaf: leaf is None)
 
-    def rest_curvature(self, p: Array | None) -> Array:
+    def rest_curvature_of(self, p: Array | None) -> Array:
         """Return the rest curvature `p` of a state, or the initial one in an elastic scene (`p` None)."""
         return self.bending.rest_curvature if p is None else p
 

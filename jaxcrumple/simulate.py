@@ -17,7 +17,7 @@ from jaxcrumple._jax.program_cache import make_room
 from jaxcrumple._jax.threads import limited_blas
 from jaxcrumple._jax.tree import as_float, is_number, require_limit
 from jaxcrumple.model.loads import check_motion
-from jaxcrumple.replay.record import Record, Recorder
+from jaxcrumple.replay.record import Record, StepRecorder
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.contact.reallocate import Reallocation
 from jaxcrumple.solvers.integrate import integrate
@@ -153,7 +153,7 @@ def simulate(
     require_limit("max_seconds", max_seconds)
     kept, recorder = _Kept(), None
     if record:
-        recorder = Recorder(state, solver)
+        recorder = StepRecorder(state, solver)
         solver = recorder.solver(solver)
     watchers = (kept, *observers)
     with limited_blas():
@@ -251,7 +251,7 @@ def _attempts(state: State) -> int:
     return int(np.sum(counters.steps)) + int(np.sum(counters.rejected))
 
 
-def _compile(scene: Scene, state: State, solver: Integrator, recorder: Recorder | None) -> float:
+def _compile(scene: Scene, state: State, solver: Integrator, recorder: StepRecorder | None) -> float:
     """Compile by a call without steps, and return its wall time in s."""
     make_room(scene, state, solver, recorder is None)
     start = time.perf_counter()
@@ -259,7 +259,7 @@ def _compile(scene: Scene, state: State, solver: Integrator, recorder: Recorder 
     return time.perf_counter() - start
 
 
-def _called(scene, state, t_stop, solver, left, recorder: Recorder | None) -> tuple[State, Log]:
+def _called(scene, state, t_stop, solver, left, recorder: StepRecorder | None) -> tuple[State, Log]:
     """Call `integrate` once."""
     if recorder is None:
         return _integrate(scene, state, t_stop, solver, left)
@@ -277,7 +277,7 @@ def _advance(
     frames: int,
     budget: _Budget,
     reallocation: Reallocation | None,
-    recorder: Recorder | None,
+    recorder: StepRecorder | None,
 ) -> tuple[Scene, State]:
     rows, told, waits = [], time.perf_counter(), 0
     while float(state.t) < t_stop:

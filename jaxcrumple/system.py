@@ -43,7 +43,7 @@ def energies(scene: Scene, x: ArrayLike, v: ArrayLike, p: ArrayLike | None, t: A
     zero = jnp.zeros((), x.dtype)
     return Energies(
         stretch=scene.membrane.energy(x),
-        bending=scene.bending.energy(x, scene.rest_curvature(p)),
+        bending=scene.bending.energy(x, scene.rest_curvature_of(p)),
         contact=zero if scene.contact is None else contact_energy.energy(scene.contact, scene.lists, x),
         confinement=sum((w.energy(x, t) for w in scene.walls), zero),
         gravity=zero if scene.gravity is None else scene.gravity.energy(x),
@@ -84,7 +84,7 @@ def potential_energy(scene: Scene, x: ArrayLike, p: ArrayLike | None, t: ArrayLi
 
 def force_terms(scene: Scene, x: Array, p: Array | None, t: Array) -> list[Array]:
     """Compute the forces (n, 3) in N on nodes at rest, term by term; their sum is `force` at v = 0."""
-    bending = scene.bending.force(scene.bending.hinges(x), scene.rest_curvature(p), x.shape[0])
+    bending = scene.bending.force(scene.bending.hinges(x), scene.rest_curvature_of(p), x.shape[0])
     terms = [scene.membrane.force(x), bending]
     terms += [] if scene.contact is None else [contact_energy.force(scene.contact, scene.lists, x)]
     terms += [wall.force(x, t) for wall in scene.walls]
@@ -126,7 +126,7 @@ def rates(scene: Scene, x: Array, v: Array, p: Array | None, t: Array) -> tuple[
 
 def force_at_rest(scene: Scene, hinges: Hinge, x: Array, p: Array | None, t: Array) -> Array:
     """Compute the force (n, 3) in N on nodes at rest at positions `x` (n, 3), whose hinges are `hinges`."""
-    return _external_force(scene, x, t) + scene.bending.force(hinges, scene.rest_curvature(p), x.shape[0])
+    return _external_force(scene, x, t) + scene.bending.force(hinges, scene.rest_curvature_of(p), x.shape[0])
 
 
 def _force_and_rate(scene: Scene, x, v, p, t) -> tuple[Array, Array | None]:
@@ -151,7 +151,7 @@ def residual(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array |
     return value, p
 
 
-def rest_curvature(scene: Scene, step: ImplicitStep, x: Array) -> Array | None:
+def updated_rest_curvature(scene: Scene, step: ImplicitStep, x: Array) -> Array | None:
     """Compute the new p (h,) of an implicit step that ends at positions `x` (n, 3), as in `residual`."""
     return _plastic_update(scene, step, scene.bending.hinges(x).theta)[0]
 
@@ -192,7 +192,7 @@ def linearize(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array]
         nodes = nodes + (scene.drag.coefficient / step.beta_h)[:, None, None] * jnp.eye(3)
     if step.v_memory is not None:
         nodes = nodes + (step.inertia * scene.mass / step.beta_h**2)[:, None, None] * jnp.eye(3)
-    hinge_blocks = scene.bending.blocks(x, scene.rest_curvature(p), softening)
+    hinge_blocks = scene.bending.blocks(x, scene.rest_curvature_of(p), softening)
     return value, _assemble(scene, x, step.t, edge_blocks, hinge_blocks, nodes)
 
 
@@ -214,7 +214,7 @@ def elastic_tangent(
     (x,) = nodal(scene, x=x)
     p, t = _others(scene, p, t)
     nodes = (shift * scene.mass)[:, None, None] * jnp.eye(3)
-    hinge_blocks = scene.bending.blocks(x, scene.rest_curvature(p), None)
+    hinge_blocks = scene.bending.blocks(x, scene.rest_curvature_of(p), None)
     return _assemble(scene, x, t, scene.membrane.blocks(x, taut), hinge_blocks, nodes)
 
 

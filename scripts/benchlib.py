@@ -177,7 +177,7 @@ def refined(nodes: int, t: float, folder: Path) -> State:
     x = jnp.asarray(shape(inner * setup.mesh.vertices[:, :2]))
     scene = setup.scene
     c = curvature(scene.bending.hinges(x).theta)
-    p = jnp.sign(c) * jnp.maximum(jnp.abs(c) - scene.plasticity.yield_curvature, 0.0)
+    p = jnp.sign(c) * jnp.maximum(jnp.abs(c) - scene.plasticity.yield_threshold, 0.0)
     fine = initial_state(scene, x)
     rest = jnp.broadcast_to(p, fine.history.p.shape)
     return eqx.tree_at(lambda s: (s.t, s.p, s.history.p), fine, (state.t, p, rest))

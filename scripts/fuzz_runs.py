@@ -34,7 +34,7 @@ jax.config.update("jax_enable_x64", True)
 from jaxcrumple.io import RunDirectory, RunDirectoryError, load  # noqa: E402
 from jaxcrumple.io.lock import writing  # noqa: E402
 from jaxcrumple.io.rundir import frame_name  # noqa: E402
-from jaxcrumple.io.table import Table  # noqa: E402
+from jaxcrumple.io.table import TableFile  # noqa: E402
 from jaxcrumple.io.verify import damages  # noqa: E402
 from jaxcrumple.run import run as runs  # noqa: E402
 from jaxcrumple.run.config import RunConfig, configure  # noqa: E402
@@ -269,7 +269,7 @@ def try_damages(references: dict[str, Reference], count: int, seed: int, place: 
 @contextmanager
 def file_operations(before: Callable[[str], None]) -> Iterator[None]:
     """`before` is called ahead of each operation by which a run changes its folder."""
-    append = Table._write
+    append = TableFile._write
 
     def around(name: str, operation: Callable) -> Any:
         def call(*arguments: Any, **options: Any) -> Any:
@@ -279,7 +279,7 @@ def file_operations(before: Callable[[str], None]) -> Iterator[None]:
 
         return call
 
-    def half_appended(self: Table, data: bytes) -> None:
+    def half_appended(self: TableFile, data: bytes) -> None:
         try:
             before("append")
         except Killed:
@@ -291,7 +291,7 @@ def file_operations(before: Callable[[str], None]) -> Iterator[None]:
     with ExitStack() as stack:
         for owner, name in ((os, "fsync"), (os, "replace"), (Path, "unlink"), (Path, "mkdir")):
             stack.enter_context(mock.patch.object(owner, name, around(name, getattr(owner, name))))
-        stack.enter_context(mock.patch.object(Table, "_write", half_appended))
+        stack.enter_context(mock.patch.object(TableFile, "_write", half_appended))
         stack.enter_context(mock.patch.object(sys.modules["jaxcrumple.simulate"], "CHUNK", 0.0))
         yield
 

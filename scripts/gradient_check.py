@@ -31,7 +31,7 @@ KINDS: dict[str, Callable[[Inputs], Array]] = {
     "stretching stiffness": lambda i: i[0].membrane.stiffness,
     "rest lengths": lambda i: i[0].membrane.rest_length,
     "bending stiffness": lambda i: i[0].bending.stiffness,
-    "yield curvature": lambda i: i[0].plasticity.yield_curvature,
+    "yield curvature": lambda i: i[0].plasticity.yield_threshold,
     "plastic time": lambda i: i[0].plasticity.time,
     "mass": lambda i: i[0].mass,
     "drag": lambda i: i[0].drag.coefficient,

@@ -21,7 +21,7 @@ class Bound(eqx.Module):
 
     def gaps(self, x):
         """Smallest gap, and number of interacting site pairs."""
-        return energy.nearest(self.contact, self.lists, x)[:2]
+        return energy.closest_sites(self.contact, self.lists, x)[:2]
 
     def covers(self, x, start=None):
         return coverage.covers(self.contact, self.lists, x, start)

@@ -90,6 +90,8 @@ def _custom(rng):
         {"kind": "cylinder", "axis": [0, 1, 0], "radius": _length(rng, 0.1)},
         {"kind": "plane", "normal": rng.normal(size=3).tolist(), "offset": _length(rng, -0.2)},
         {"kind": "cone", "half_angle": "40 deg", "height": motion},
+        {"kind": "ball", "radius": _length(rng, 0.02), "height": motion},
+        {"kind": "holed-plate", "center": [0, 0, -1], "radius": motion, "edge": _length(rng, 1e-3)},
     ]
     box = {"lower": [-1.0, -1, "-1 m"], "upper": [0.0, "1 m", float("inf")]}
     supports = [

@@ -159,7 +159,7 @@ def test_settings_reach_scene_material_and_solver():
     assert float(solver.max_step) == 1e-3
     assert setup.mesh.n_nodes == 70
     assert float(setup.scene.walls[0].shape.radius.rate) == -0.02
-    np.testing.assert_allclose(setup.scene.plasticity.yield_curvature, 0.25)
+    np.testing.assert_allclose(setup.scene.plasticity.yield_threshold, 0.25)
 
 
 def test_a_mapping_says_the_same_as_text():

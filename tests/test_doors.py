@@ -54,11 +54,17 @@ class Lukewarm(jc.AbstractFlowRule):
         (lambda: jc.Cone(ORIGIN, UP, 45.0, 0.0), r"^half_angle = 45 rad of Cone must lie between 0 and pi/2"),
         (lambda: jc.Ball(ORIGIN, UP, -0.1, 0.0), r"^radius of Ball is -0\.1; it must be positive"),
         (
-            lambda: jc.Opening(ORIGIN, UP, 0.1, -0.1),
-            r"^edge of Opening is -0\.1; it must be zero or positive",
+            lambda: jc.HoledPlate(ORIGIN, UP, 0.1, -0.1),
+            r"^edge of HoledPlate is -0\.1; it must be zero or positive",
         ),
-        (lambda: jc.Corners([0, 2, 1], [0, 0, 0]), r"^times of Corners must be at least one time in s"),
-        (lambda: jc.Corners([0, 1], [0, 0, 0]), r"^values of Corners has shape \(3,\); it must be \(2,\)"),
+        (
+            lambda: jc.PiecewiseLinear([0, 2, 1], [0, 0, 0]),
+            r"^times of PiecewiseLinear must be at least one time in s",
+        ),
+        (
+            lambda: jc.PiecewiseLinear([0, 1], [0, 0, 0]),
+            r"^values of PiecewiseLinear has shape \(3,\); it must be \(2,\)",
+        ),
         (
             lambda: scene(walls=[jc.Wall(jc.Sphere(ORIGIN, 0.1), 1.0, 1e-3)]),
             r"^stiffness of wall 0 \(Wall\) has shape \(\); it must be \(40,\)",

@@ -11,7 +11,7 @@ import jaxcrumple as jc
 from jaxcrumple.geometry.hinge import curvature
 from jaxcrumple.replay.step import Point
 from jaxcrumple.state import HISTORY, implicit_step
-from jaxcrumple.system import residual, rest_curvature
+from jaxcrumple.system import residual, updated_rest_curvature
 
 RANGE, COLUMNS, DRAWS = 0.5e-3, (4, 4), 250
 # Distances of the layers in ranges: where contact begins, exactly and nearly, inside and outside.
@@ -21,7 +21,7 @@ LEAVES = (
     lambda s: s.membrane.rest_length,
     lambda s: s.bending.stiffness,
     lambda s: s.bending.rest_curvature,
-    lambda s: s.plasticity.yield_curvature,
+    lambda s: s.plasticity.yield_threshold,
     lambda s: s.plasticity.time,
     lambda s: s.mass,
     lambda s: s.drag.coefficient,
@@ -77,7 +77,9 @@ def slopes(key, scene, x):
         points = Point(*(jnp.broadcast_to(a, (HISTORY, *a.shape)) for a in (past, 0.0 * past, p)))
         alpha = jnp.zeros(HISTORY).at[0].set(-1.0)
         step = implicit_step(here, points, alpha, h, jnp.zeros(()), jnp.ones(()))
-        return jnp.sum(pull * residual(here, step, x)[0]) + jnp.sum(turn * rest_curvature(here, step, x))
+        return jnp.sum(pull * residual(here, step, x)[0]) + jnp.sum(
+            turn * updated_rest_curvature(here, step, x)
+        )
 
     numbers = [leaf(scene) for leaf in LEAVES]
     return jax.grad(weighed, argnums=(0, 1, 2, 3))(numbers, moved, x, p), jnp.max(jnp.abs(pull))

@@ -13,7 +13,7 @@ from test_lists import moving_layers
 import jaxcrumple as jc
 from jaxcrumple.contact.adjacency import DUE_TURN, LISTED_TURN
 from jaxcrumple.contact.broad_phase import find_candidates
-from jaxcrumple.contact.coverage import sharpest
+from jaxcrumple.contact.coverage import largest_unlisted_turn
 from jaxcrumple.contact.host_broad_phase import Search, _tree_pairs
 from jaxcrumple.contact.lists import Reference
 from jaxcrumple.contact.skin import CANDIDATES, PAIRS
@@ -116,7 +116,7 @@ def test_a_bound_on_how_folds_turn_never_hides_one_that_turns_more():
     for size in SIGMA * np.array([0.0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3]):
         theta = scene.bending.hinges(x + jnp.asarray(rng.normal(scale=size, size=x.shape))).theta
         turn = np.asarray(contact.fans.turning(theta))[~np.asarray(candidates.folded)].max()
-        told = float(sharpest(contact, candidates, theta))
+        told = float(largest_unlisted_turn(contact, candidates, theta))
         assert told == turn or turn <= told < DUE_TURN
         plain += told != turn
     assert 2 <= plain <= 5

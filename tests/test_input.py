@@ -142,7 +142,7 @@ def test_what_is_no_solver():
 def test_linear_systems():
     made = scene()
     values = elastic_tangent(
-        made, jnp.asarray(MESH.vertices), made.rest_curvature(None), jnp.asarray(0.0), 1e4
+        made, jnp.asarray(MESH.vertices), made.rest_curvature_of(None), jnp.asarray(0.0), 1e4
     )
     rhs = jnp.ones(3 * made.n_nodes)
     with pytest.raises(ValueError, match=r"rhs \(5,\) do not fit the pattern: \(\d+,\) and \(120,\)"):

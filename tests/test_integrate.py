@@ -339,7 +339,7 @@ PARAMETERS = {
     "hinge": lambda s: s.bending.stiffness,
     "mass": lambda s: s.mass,
     "drag": lambda s: s.drag.coefficient,
-    "yield": lambda s: s.plasticity.yield_curvature,
+    "yield": lambda s: s.plasticity.yield_threshold,
     "wall": lambda s: s.walls[0].stiffness,
 }
 

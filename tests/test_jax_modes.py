@@ -39,10 +39,10 @@ def made(contact):
     walls = [
         jc.Sphere(origin, jc.Ramp(0.1, -0.01)),
         jc.Cylinder(origin, up, 0.1),
-        jc.Plane(up, jc.Corners([0, 1], [-0.1, -0.09])),
+        jc.Plane(up, jc.PiecewiseLinear([0, 1], [-0.1, -0.09])),
         jc.Cone(origin, up, 0.7, -0.2),
         jc.Ball((0, 0, -1), up, 0.1, 0.0),
-        jc.Opening((0, 0, -0.2), up, 0.01, 0.01),
+        jc.HoledPlate((0, 0, -0.2), up, 0.01, 0.01),
     ]
     mask = np.repeat((X[:, 0] < X[:, 0].min() + 1e-3)[:, None], 3, axis=1)
     scene = jc.sheet(

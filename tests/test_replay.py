@@ -20,7 +20,7 @@ LEAVES = {
     "stretching": lambda s: s.membrane.stiffness,
     "rest length": lambda s: s.membrane.rest_length,
     "bending": lambda s: s.bending.stiffness,
-    "yield": lambda s: s.plasticity.yield_curvature,
+    "yield": lambda s: s.plasticity.yield_threshold,
     "plastic time": lambda s: s.plasticity.time,
     "mass": lambda s: s.mass,
     "drag": lambda s: s.drag.coefficient,

@@ -83,12 +83,14 @@ def test_a_template_is_a_file_of_all_defaults(file, scene):
 def test_the_commented_tables_of_a_template_are_read(file):
     text = template("custom")
     shown = text[text.index("\n# [[") :]
-    numbers = {"radius": "1", "offset": "-1", "height": "-1", "half_angle": "0.5", "nodes": '"boundary"'}
+    numbers = {"radius": "1", "offset": "-1", "height": "-1", "half_angle": "0.5", "edge": "0.1"}
+    numbers |= {"nodes": '"boundary"'}
     tables = re.sub(r"^# (?=\[\[|\w+ = )", "", shown, flags=re.MULTILINE)
     for name, value in numbers.items():
         tables = re.sub(rf"^{name} = \.\.\.", f"{name} = {value}", tables, flags=re.MULTILINE)
     found = jc.read_scene_file(file(text + tables))
-    assert [wall["kind"] for wall in found.options["walls"]] == ["sphere", "cylinder", "plane", "cone"]
+    kinds = ["sphere", "cylinder", "plane", "cone", "ball", "holed-plate"]
+    assert [wall["kind"] for wall in found.options["walls"]] == kinds
     assert found.options["supports"][0]["velocity"] == [0, 0, 0]
 
 

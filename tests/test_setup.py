@@ -66,7 +66,7 @@ def test_a_flow_rule_of_ones_own_is_kept():
     np.testing.assert_allclose(made.membrane.stiffness, STIFFER.spring_constant)
     # Also the house's law with other numbers than the material's.
     law = jc.SmoothstepFlow(np.full(H, 0.3), 1.0, 0.0)
-    np.testing.assert_array_equal(setup(plasticity=law).made_of(STIFFER).plasticity.yield_curvature, 0.3)
+    np.testing.assert_array_equal(setup(plasticity=law).made_of(STIFFER).plasticity.yield_threshold, 0.3)
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from jaxcrumple.geometry.intersections import close_pairs
 from jaxcrumple.io import RunDirectory
 from jaxcrumple.measure import curvature_distribution, volume_fraction
 from jaxcrumple.measure.raster import Raster
-from jaxcrumple.replay.record import Recorder
+from jaxcrumple.replay.record import StepRecorder
 from jaxcrumple.run.check import check_built
 from jaxcrumple.run.config import configure
 from jaxcrumple.run.estimate import estimate, require_config
@@ -235,7 +235,7 @@ def test_frames_count_towards_the_memory_of_a_run(memory_of):
 
 
 def test_a_record_that_grows_too_large_is_warned_of_once(memory_of):
-    recorder = Recorder(jc.initial_state(jc.sheet(MESH, jc.Material()), MESH.vertices), jc.integrator())
+    recorder = StepRecorder(jc.initial_state(jc.sheet(MESH, jc.Material()), MESH.vertices), jc.integrator())
     steps = 16
     x = jnp.zeros((steps, *MESH.vertices.shape))
     trail = Trail(x, *(jnp.zeros(steps) for _ in range(4)), length=jnp.asarray(steps))

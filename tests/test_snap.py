@@ -310,7 +310,7 @@ def test_sheet_yields_when_asked(name):
     plain = configure(name, nodes=60, settings=["yield_c0=0.3"]).build().scene
     assert plain.plasticity is None
     yielding = configure(name, nodes=60, settings=["plastic=true", "yield_c0=0.3"]).build().scene
-    np.testing.assert_allclose(yielding.plasticity.yield_curvature, 0.3)
+    np.testing.assert_allclose(yielding.plasticity.yield_threshold, 0.3)
     assert BUILD[name](60, plastic=True, material=SHEET).scene.plasticity is None
 
 

@@ -40,7 +40,7 @@ def apart(contact: Contact, start: Array, end: Array, share: float = APART) -> A
     return (contact.chart.least(start, frame) > share) & (contact.chart.least(end, frame) > share)
 
 
-def sharpest(contact: Contact, candidates: CandidatePairs, theta: Array) -> Array:
+def largest_unlisted_turn(contact: Contact, candidates: CandidatePairs, theta: Array) -> Array:
     """Return the largest turn in rad of the ways at nodes that the candidates do not list.
 
     `theta` (h,): hinge angles in rad. If an upper bound is below `DUE_TURN`, the result is that bound.

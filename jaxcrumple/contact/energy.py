@@ -130,7 +130,7 @@ def nearer_product(contact: Contact, lists: ContactLists, x: Array) -> Callable[
 
 
 @eqx.filter_jit
-def nearest(contact: Contact, lists: ContactLists, x: Array) -> tuple[Array, Array, Array]:
+def closest_sites(contact: Contact, lists: ContactLists, x: Array) -> tuple[Array, Array, Array]:
     """Find the closest interacting site pair at positions `x` (n, 3).
 
     **Returns:** its distance in m, infinite if no sites interact; the number of interacting site pairs; and

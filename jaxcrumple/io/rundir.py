@@ -50,7 +50,7 @@ from jaxcrumple.io.manifest import (
     unsealed,
     write_manifest,
 )
-from jaxcrumple.io.table import Table
+from jaxcrumple.io.table import TableFile
 from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.solvers.log import ENERGIES, EVENT_COLUMNS, Row
 from jaxcrumple.state import STAGES, Work
@@ -87,7 +87,9 @@ class RunDirectory:
             "events.csv": EVENT_COLUMNS,
             "frames.csv": FRAME_COLUMNS,
         }
-        self._tables = [Table(path / name, columns[name], prefix) for name, prefix in manifest.tables.items()]
+        self._tables = [
+            TableFile(path / name, columns[name], prefix) for name, prefix in manifest.tables.items()
+        ]
         self.history, self.events, self._frames = self._tables
 
     @classmethod
@@ -240,7 +242,7 @@ class RunDirectory:
             return False
         return True
 
-    def _read_table(self, table: Table) -> pd.DataFrame:
+    def _read_table(self, table: TableFile) -> pd.DataFrame:
         try:
             return table.read()
         except RunDirectoryError as error:

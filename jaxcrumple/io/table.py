@@ -17,7 +17,7 @@ from jaxcrumple.io.atomic import RunDirectoryError, refusal
 from jaxcrumple.io.manifest import EMPTY, Prefix
 
 
-class Table:
+class TableFile:
     """The rows of a CSV file below its header line, up to the end of `prefix`; later bytes are ignored.
 
     No cell contains a line break, so each row is one line.

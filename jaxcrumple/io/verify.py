@@ -33,7 +33,7 @@ from jaxcrumple.io.rundir import (
     frame_name,
     is_run,
 )
-from jaxcrumple.io.table import Table
+from jaxcrumple.io.table import TableFile
 
 #: Files that a resumed run rebuilds from the others.
 DERIVED = (SUMMARY, FILM)
@@ -120,7 +120,7 @@ def _damages(folder: Path, manifest: Manifest) -> Iterator[tuple[str, str]]:
     for name, entry in manifest.files.items():
         yield from _damage(folder, name, entry)
     for name, prefix in manifest.tables.items():
-        table = Table(folder / name, FRAME_COLUMNS, prefix)
+        table = TableFile(folder / name, FRAME_COLUMNS, prefix)
         try:
             rows = table.read()
         except RunDirectoryError as error:

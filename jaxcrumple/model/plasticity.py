@@ -32,27 +32,27 @@ class SmoothstepFlow(AbstractFlowRule):
     $\\dot p = \\mathrm{sign}(c-p)\\, S((|c-p| - c_0)/(2 - c_0)) / (T (1 + \\gamma))$ with the smoothstep S.
     The paper has no T (its rate has no unit). Only the product $T(1+\\gamma)$ enters.
 
-    **Arguments:** `yield_curvature` (h,) dimensionless $c_0 < 2$; `time` T in s; `gamma` >= 0.
+    **Arguments:** `yield_threshold` (h,) dimensionless $c_0 < 2$; `time` T in s; `gamma` >= 0.
     """
 
-    yield_curvature: Array = eqx.field(converter=as_float)
+    yield_threshold: Array = eqx.field(converter=as_float)
     time: Array = eqx.field(converter=as_float)
     gamma: Array = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        require_numbers("yield_curvature of SmoothstepFlow", self.yield_curvature)
+        require_numbers("yield_threshold of SmoothstepFlow", self.yield_threshold)
         require_numbers("time of SmoothstepFlow", self.time, positive=True)
         require_numbers("gamma of SmoothstepFlow", self.gamma)
-        if is_known(self.yield_curvature) and np.any(np.asarray(self.yield_curvature) >= 2.0):
+        if is_known(self.yield_threshold) and np.any(np.asarray(self.yield_threshold) >= 2.0):
             raise ValueError(
-                f"yield_curvature of SmoothstepFlow reaches {np.max(self.yield_curvature):g}; it must be "
+                f"yield_threshold of SmoothstepFlow reaches {np.max(self.yield_threshold):g}; it must be "
                 "below 2, the largest curvature of a hinge."
             )
 
     def rate(self, c: Array, p: Array) -> Array:
         """dp/dt in 1/s (eqs. 34-36)."""
         elastic = c - p
-        excess = (jnp.abs(elastic) - self.yield_curvature) / (2.0 - self.yield_curvature)
+        excess = (jnp.abs(elastic) - self.yield_threshold) / (2.0 - self.yield_threshold)
         return jnp.sign(elastic) * smoothstep(excess) / (self.time * (1.0 + self.gamma))
 
 

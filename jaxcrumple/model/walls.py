@@ -49,7 +49,7 @@ class Ramp(eqx.Module):
         return self.start + self.rate * jnp.minimum(t, self.until)
 
 
-class Corners(eqx.Module):
+class PiecewiseLinear(eqx.Module):
     """A piecewise linear function of time with `values` (m,) at `times` (m,) in s.
 
     It is constant before the first and after the last time.
@@ -59,11 +59,13 @@ class Corners(eqx.Module):
     values: Array = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
-        require_shape("times of Corners", self.times, (self.times.size,))
-        require_shape("values of Corners", self.values, self.times.shape)
+        require_shape("times of PiecewiseLinear", self.times, (self.times.size,))
+        require_shape("values of PiecewiseLinear", self.values, self.times.shape)
         times = self.times
         if times.size == 0 or (is_known(times) and not np.all(np.diff(np.asarray(times)) >= 0)):
-            raise ValueError("times of Corners must be at least one time in s, and must not decrease.")
+            raise ValueError(
+                "times of PiecewiseLinear must be at least one time in s, and must not decrease."
+            )
 
     def __call__(self, t: Array) -> Array:
         """Value at time `t`."""
@@ -200,7 +202,7 @@ class Ball(AbstractShape):
         return jnp.sqrt(dot(offset, offset) + TINY) - self.radius
 
 
-class Opening(AbstractShape):
+class HoledPlate(AbstractShape):
     """A plate with a round hole whose rim is rounded.
 
     The mid-plane of the plate passes through `center` (3,), normal to the unit vector `axis` (3,). The rim
@@ -215,7 +217,7 @@ class Opening(AbstractShape):
 
     def __check_init__(self) -> None:
         _check_vectors(self, "center", unit="axis")
-        require_numbers("edge of Opening", self.edge)
+        require_numbers("edge of HoledPlate", self.edge)
 
     def gap(self, point: Array, t: Array) -> Array:
         """Distance from the plate's surface."""

@@ -69,7 +69,7 @@ class Record(eqx.Module):
     stages: tuple[int, ...] = eqx.field(static=True)
 
 
-class Recorder:
+class StepRecorder:
     """Collect the steps of one run from the state `start`.
 
     **Raises:** ValueError for a scheme that cannot be recorded.

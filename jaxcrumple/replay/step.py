@@ -14,7 +14,7 @@ from jaxcrumple.solvers.implicit.newton import FORCING
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
 from jaxcrumple.solvers.linear.solve import solve_once
 from jaxcrumple.state import ImplicitStep as Equations
-from jaxcrumple.system import linearize, residual, rest_curvature
+from jaxcrumple.system import linearize, residual, updated_rest_curvature
 
 # Newton's iteration ends with an update below TIGHT of the sheet's size, or below SETTLED if rounding stops
 # its decrease. It refactorises when an update exceeds CONTRACTION times the previous one.
@@ -54,7 +54,7 @@ class RecordedStep(NamedTuple):
         """Return the point after the step."""
         old, step = newest(past), self._equations(scene, past)
         x = self._supported(scene, old.x, unknown)
-        p = None if old.p is None else rest_curvature(scene, step, x)
+        p = None if old.p is None else updated_rest_curvature(scene, step, x)
         mean = Point(x, step.velocity(x), p)
         return jax.tree.map(lambda mean, old: old + (mean - old) / self.formula.theta, mean, old)
 

@@ -71,7 +71,7 @@ def _terms(scene: Scene, state: State) -> list[_Term]:
 @eqx.filter_jit
 def _evaluated(scene: Scene, x: Array, p: Array | None, t: Array) -> dict[str, tuple[Array, Array]]:
     """Return energies in J and nodal forces (n, 3) in N by name of the term."""
-    hinges, rest = scene.bending.hinges(x), scene.rest_curvature(p)
+    hinges, rest = scene.bending.hinges(x), scene.rest_curvature_of(p)
     terms = {
         "stretch": (scene.membrane.energy(x), scene.membrane.force(x)),
         "bending": (scene.bending.energy(x, rest), scene.bending.force(hinges, rest, x.shape[0])),
@@ -135,7 +135,7 @@ def _why(scene: Scene, state: State, name: str) -> str:
     """Describe how close to a wall or to itself the sheet starts."""
     if name == "contact":
         assert scene.contact is not None and scene.lists is not None
-        gap = float(contact.nearest(scene.contact, scene.lists, state.x)[0])
+        gap = float(contact.closest_sites(scene.contact, scene.lists, state.x)[0])
         reach = float(scene.contact.range)
         return f"; layers start {_length(gap)} apart, within its range of {_length(reach)}"
     if name.startswith("wall"):

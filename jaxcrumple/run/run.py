@@ -34,7 +34,7 @@ KEPT = 4
 PACKAGES = ("jaxcrumple", "jax", "jaxlib", "numpy", "scipy", "diffrax", "equinox")
 
 
-class Recorder:
+class RunRecorder:
     """Save frames, rows and checkpoints during a run.
 
     Each checkpoint commits all earlier rows and frames, so a killed run resumes from the last checkpoint as
@@ -235,7 +235,7 @@ def _go(
     max_seconds: float | None,
 ) -> dict[str, Any]:
     """Simulate the remaining time and write all files; the summary comes last, so it certifies the others."""
-    recorder = Recorder(folder, config.frames, spent)
+    recorder = RunRecorder(folder, config.frames, spent)
     times, reached = frame_times(config.t_end, config.frames), len(folder.frames())
     if reached == len(times):
         ending = _ended(setup, state)
@@ -293,7 +293,7 @@ def film(folder: RunDirectory) -> Path | None:
 
 
 def _summary(
-    config: RunConfig, folder: RunDirectory, setup: Setup, ending: Ending, recorder: Recorder
+    config: RunConfig, folder: RunDirectory, setup: Setup, ending: Ending, recorder: RunRecorder
 ) -> dict[str, Any]:
     state, counters = ending.state, ending.state.counters
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

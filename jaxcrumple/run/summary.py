@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
-from jaxcrumple.contact.energy import nearest
+from jaxcrumple.contact.energy import closest_sites
 from jaxcrumple.measure.creases import crease_length, folded_hinges
 from jaxcrumple.measure.intersections import count_intersections
 from jaxcrumple.measure.strain import edge_strain
@@ -36,7 +36,7 @@ def figures(setup: Setup, state: State) -> dict[str, Any]:
     """Compute energies in J, strains, penetration, gap and crease length in m of a state."""
     mesh, scene = setup.mesh, with_contacts(setup.scene, state.x)
     x = np.asarray(state.x)
-    p = np.asarray(scene.rest_curvature(state.p))
+    p = np.asarray(scene.rest_curvature_of(state.p))
     parts = _energies(scene, state.x, state.v, state.p, state.t)
     strain = edge_strain(mesh, x)
     gaps = [np.min(np.asarray(wall.gap(state.x, state.t))) for wall in scene.walls]
@@ -57,7 +57,7 @@ def _contacts(mesh: Mesh, scene: Scene, x: np.ndarray) -> dict[str, Any]:
     found: dict[str, Any] = {"intersections": count_intersections(mesh, x), "min_gap": None, "contacts": 0}
     if scene.contact is None or scene.lists is None:
         return found
-    gap, count, _ = nearest(scene.contact, scene.lists, jnp.asarray(x))
+    gap, count, _ = closest_sites(scene.contact, scene.lists, jnp.asarray(x))
     return found | {"min_gap": float(gap) if count else None, "contacts": int(count)}
 
 

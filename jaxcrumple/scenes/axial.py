@@ -18,7 +18,7 @@ from jaxcrumple._jax.door import door
 from jaxcrumple._jax.memory import require
 from jaxcrumple.mesh.mesh import FloatArray, Mesh
 from jaxcrumple.model.loads import ElementEnergy
-from jaxcrumple.model.walls import AbstractShape, Corners, Cylinder, Plane, of_time
+from jaxcrumple.model.walls import AbstractShape, Cylinder, PiecewiseLinear, Plane, of_time
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions, upright, wrapped
 from jaxcrumple.scenes.snap import check_gap, check_positive
@@ -91,7 +91,7 @@ def cylindrical(
     mesh = sheet.square(size, nodes, seed)
     wide = 0.5 * size + sheet.clearance + sheet.imperfection
     along = jnp.array([0.0, 0.0, 1.0])
-    planes = _corners([0.0, compress], [-wide, -0.5 * height])
+    planes = _piecewise([0.0, compress], [-wide, -0.5 * height])
     walls = [
         Cylinder(jnp.zeros(3), along, of_time(radius)),
         Plane(along, planes),
@@ -169,14 +169,16 @@ def _walls(wide: float, radius: float, height: float, thin: float, ends: FloatAr
     tall = [wide] + cycles * [wide, 0.5 * height, wide, wide, wide, wide]
     deep = [wide] + cycles * [wide, wide, wide, wide, thin, wide]
     along, across = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.0, 1.0, 0.0])
-    walls: list[AbstractShape] = [Cylinder(jnp.zeros(3), along, _corners(moments, round_))]
+    walls: list[AbstractShape] = [Cylinder(jnp.zeros(3), along, _piecewise(moments, round_))]
     for normal, half in ((along, tall), (across, deep)):
-        walls += [Plane(sign * normal, _corners(moments, [-value for value in half])) for sign in (1.0, -1.0)]
+        walls += [
+            Plane(sign * normal, _piecewise(moments, [-value for value in half])) for sign in (1.0, -1.0)
+        ]
     return walls
 
 
-def _corners(moments: list[float], values: list[float]) -> Corners:
-    return Corners(jnp.array(moments), jnp.array(values))
+def _piecewise(moments: list[float], values: list[float]) -> PiecewiseLinear:
+    return PiecewiseLinear(jnp.array(moments), jnp.array(values))
 
 
 def _pull(mesh: Mesh, x: FloatArray, times: AxialTimes, cycles: int) -> ElementEnergy:

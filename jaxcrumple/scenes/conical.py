@@ -15,7 +15,7 @@ from jax import Array
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float
 from jaxcrumple.model.loads import AbstractMotion, Prescribed
-from jaxcrumple.model.walls import Corners, Opening, of_time
+from jaxcrumple.model.walls import HoledPlate, PiecewiseLinear, of_time
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions
 from jaxcrumple.scenes.snap import check_positive
@@ -70,8 +70,10 @@ def conical(
         raise ValueError(f"grip = {grip} m holds no node; choose a larger one, or more nodes.")
     x = mesh.vertices + np.array([0.0, 0.0, edge + sheet.clearance + sheet.imperfection])
     down = jnp.array([0.0, 0.0, -1.0])
-    motion = Along(jnp.asarray(x), down, Corners(jnp.array([0.0, pull / speed]), jnp.array([0.0, pull])))
+    motion = Along(
+        jnp.asarray(x), down, PiecewiseLinear(jnp.array([0.0, pull / speed]), jnp.array([0.0, pull]))
+    )
     grips = Prescribed(jnp.asarray(np.repeat(held[:, None], 3, axis=1)), motion)
     return sheet.setup(
-        mesh, [Opening(jnp.zeros(3), -down, of_time(opening), as_float(edge))], x=x, prescribed=grips
+        mesh, [HoledPlate(jnp.zeros(3), -down, of_time(opening), as_float(edge))], x=x, prescribed=grips
     )

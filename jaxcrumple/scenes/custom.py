@@ -6,7 +6,6 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float
@@ -19,23 +18,21 @@ from jaxcrumple.mesh.isotropy import warn_of_anisotropy
 from jaxcrumple.mesh.mesh import FloatArray, Mesh
 from jaxcrumple.mesh.remesh import remeshed
 from jaxcrumple.model.loads import LinearMotion, Prescribed
-from jaxcrumple.model.walls import AbstractShape, Cone, Corners, Cylinder, Plane, Sphere
 from jaxcrumple.options.validation import validated
 from jaxcrumple.scene import sheet as scene_of
 from jaxcrumple.scenes.custom_options import (
-    AnyWall,
     Bend,
     Box,
     CustomOptions,
     Disc,
     FileSheet,
-    Motion,
     Square,
     Support,
     Taper,
 )
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import smooth_imperfection, wrapped
+from jaxcrumple.scenes.wall_options import unit_vector
 
 
 @door
@@ -64,7 +61,7 @@ def custom(nodes: int = 1000, seed: int = 0, *, material: Material | None = None
     scene = scene_of(
         mesh,
         material,
-        walls=[_wall(wall) for wall in asked.walls],
+        walls=[wall.shape() for wall in asked.walls],
         gravity=asked.gravity,
         prescribed=_supports(asked.supports, mesh),
         damping=asked.damping,
@@ -129,7 +126,7 @@ def _varied(material: Material, sheet: Square | Disc | FileSheet, mesh: Mesh) ->
 
 def tapered(x: FloatArray, taper: Taper) -> FloatArray:
     """Return the thickness (n,) in m at `x` (n, 3) in m, linear along the direction of `taper`."""
-    along = x @ np.asarray(_unit(taper.direction))
+    along = x @ np.asarray(unit_vector(taper.direction))
     if np.ptp(along) == 0:
         raise ValueError("sheet.taper.direction is normal to the sheet; choose a direction within it.")
     share = (along - along.min()) / np.ptp(along)
@@ -143,27 +140,6 @@ def _point_data(path: str, name: str) -> FloatArray:
         known = ", ".join(map(repr, data)) or "none"
         raise ValueError(f"sheet.thickness = {name!r} is not among the point data of {path}: {known}.")
     return np.asarray(data[name], float)
-
-
-def _wall(wall: AnyWall) -> AbstractShape:
-    if wall.kind == "sphere":
-        return Sphere(jnp.asarray(wall.center), _moving(wall.radius))
-    if wall.kind == "plane":
-        return Plane(_unit(wall.normal), _moving(wall.offset))
-    center, axis = jnp.asarray(wall.center), _unit(wall.axis)
-    if wall.kind == "cylinder":
-        return Cylinder(center, axis, _moving(wall.radius))
-    return Cone(center, axis, as_float(wall.half_angle), _moving(wall.height))
-
-
-def _moving(value: float | Motion) -> Any:
-    return Corners(jnp.array(value.times), jnp.array(value.values)) if isinstance(value, Motion) else value
-
-
-def _unit(direction: Sequence[float]) -> Array:
-    # Scale first, so that no square overflows.
-    scaled = np.array(direction) / np.max(np.abs(direction))
-    return jnp.asarray(scaled / np.linalg.norm(scaled))
 
 
 def _supports(supports: Sequence[Support], mesh: Mesh) -> Prescribed | None:

@@ -1,14 +1,11 @@
 """Options of a user-defined scene: sheet, walls and supports as tables of a file."""
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from annotated_types import Len
 from pydantic import (
-    AfterValidator,
-    BaseModel,
     ConfigDict,
     Discriminator,
     Field,
@@ -26,63 +23,13 @@ from jaxcrumple.options.units import (
     LENGTH,
     TIME,
     Metre,
-    MetrePerSecond,
     MetrePerSecondSquared,
-    Radian,
 )
+from jaxcrumple.scenes.tables import ORIGIN, Axis, OptionTable, Position, PositiveMetre, Velocity, is_table
+from jaxcrumple.scenes.wall_options import AnyWall
 
 
-class Table(BaseModel):
-    """Base class of all tables: unknown names and non-finite numbers are errors."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-Position = Annotated[list[Metre], Len(3, 3)]
-Velocity = Annotated[list[MetrePerSecond], Len(3, 3)]
-
-
-def _nonzero(value: list[float]) -> list[float]:
-    if not any(value):
-        raise ValueError("a direction must not be zero")
-    return value
-
-
-Axis = Annotated[list[float], Len(3, 3), AfterValidator(_nonzero)]
-PositiveMetre = Annotated[Metre, Field(gt=0)]
-
-
-class Motion(Table):
-    """A length in m that is linear in time between the `values` at `times` in s. It is constant before the
-    first and after the last time."""
-
-    times: Annotated[list[Annotated[float, TIME]], Len(2)]
-    values: Annotated[list[Metre], Len(2)]
-
-    @model_validator(mode="after")
-    def _in_order(self) -> "Motion":
-        if len(self.times) != len(self.values):
-            raise ValueError(
-                f"{len(self.times)} times for {len(self.values)} values; give one time for each value"
-            )
-        if any(later <= sooner for sooner, later in zip(self.times, self.times[1:], strict=False)):
-            raise ValueError("times must increase")
-        return self
-
-
-def _is_table(value: Any) -> str:
-    """Return the tag of a value in a union of a plain value and a table."""
-    return "table" if isinstance(value, Mapping | BaseModel) else "plain"
-
-
-Moving = Annotated[
-    Annotated[Metre, Tag("plain")] | Annotated[Motion, Tag("table")],
-    Discriminator(_is_table),
-]
-"""A length in m, or its motion."""
-
-
-class Bend(Table):
+class Bend(OptionTable):
     """Intrinsic curvature: the rest shape lies on a sphere, or on a cylinder along the x or y `axis`, with a
     `radius` in m. The surface touches the plane z = 0 from below at the origin."""
 
@@ -91,15 +38,15 @@ class Bend(Table):
     axis: Literal["x", "y"] = "y"
 
 
-class Taper(Table):
+class Taper(OptionTable):
     """A thickness in m that varies linearly along `direction`, from the first value of `between` at one end
     of the sheet to the second value at the other end."""
 
     between: Annotated[list[PositiveMetre], Len(2, 2)]
-    direction: Axis = [1.0, 0.0, 0.0]
+    direction: Axis = Field([1.0, 0.0, 0.0])
 
 
-class GeneratedSheet(Table):
+class GeneratedSheet(OptionTable):
     """A flat random mesh: `imperfection` is the largest height in m of a smooth, stress-free initial shape,
     `sweeps` the number of Lloyd sweeps, `bend` the intrinsic curvature, `taper` a variable thickness."""
 
@@ -123,7 +70,7 @@ class Disc(GeneratedSheet):
     radius: PositiveMetre = 0.05
 
 
-class FileSheet(Table):
+class FileSheet(OptionTable):
     """The surface in the file `path` (read by trimesh or meshio), flat or curved, is the rest shape.
 
     `path`: relative to the folder of the scene file. `unit`: unit of all lengths in the file, metres by
@@ -173,58 +120,7 @@ class FileSheet(Table):
 Sheet = Annotated[Square | Disc | FileSheet, Field(discriminator="shape")]
 
 
-def _positive(moving: float | Motion) -> float | Motion:
-    values = moving.values if isinstance(moving, Motion) else [moving]
-    if min(values) <= 0:
-        raise ValueError("a radius must be greater than 0")
-    return moving
-
-
-Radius = Annotated[Moving, AfterValidator(_positive)]
-ORIGIN = [0.0, 0.0, 0.0]
-UP = [0.0, 0.0, 1.0]
-
-
-class SphereWall(Table):
-    """The inside of a sphere around `center`, in m; `radius` in m or a motion."""
-
-    kind: Literal["sphere"]
-    center: Position = ORIGIN
-    radius: Radius
-
-
-class CylinderWall(Table):
-    """The inside of a cylinder through `center`, in m, along `axis`; `radius` in m or a motion."""
-
-    kind: Literal["cylinder"]
-    center: Position = ORIGIN
-    axis: Axis = UP
-    radius: Radius
-
-
-class PlaneWall(Table):
-    """The side of a plane to which `normal` points; `offset` from the origin along it in m, or a motion."""
-
-    kind: Literal["plane"]
-    normal: Axis = UP
-    offset: Moving
-
-
-class ConeWall(Table):
-    """The inside of a cone that opens along `axis` with `half_angle` in rad; `height`: distance of its tip
-    from `center` along the axis, in m or a motion."""
-
-    kind: Literal["cone"]
-    center: Position = ORIGIN
-    axis: Axis = UP
-    half_angle: Radian = Field(gt=0, lt=math.pi / 2)
-    height: Moving
-
-
-AnyWall = Annotated[SphereWall | CylinderWall | PlaneWall | ConeWall, Field(discriminator="kind")]
-
-
-class Box(Table):
+class Box(OptionTable):
     """A box between the corners `lower` and `upper`, in m; coordinates may be infinite."""
 
     model_config = ConfigDict(allow_inf_nan=True)
@@ -239,24 +135,24 @@ class Box(Table):
         return self
 
 
-class Support(Table):
+class Support(OptionTable):
     """Held nodes: those in a box or on the sheet's "boundary". They are fixed, or move at a `velocity` in
     m/s. The support releases them at the time `until` in s, if given. The last support of a node applies."""
 
     nodes: Annotated[
         Annotated[Literal["boundary"], Tag("plain")] | Annotated[Box, Tag("table")],
-        Discriminator(_is_table),
+        Discriminator(is_table),
     ]
     velocity: Velocity = ORIGIN
     until: Annotated[float | None, TIME] = Field(None, gt=0)
 
 
-class CustomOptions(Table):
+class CustomOptions(OptionTable):
     """Options of `custom`: a `sheet`, `walls`, `supports`, `gravity` in m/s2, and contact as in `radial`."""
 
     sheet: Sheet = Square()
-    walls: list[AnyWall] = []
-    supports: list[Support] = []
+    walls: list[AnyWall] = Field([])
+    supports: list[Support] = Field([])
     gravity: Annotated[list[MetrePerSecondSquared], Len(3, 3)] | None = None
     damping: Literal["central", "paper"] = "central"
     contact: Potential | None = "penalty"

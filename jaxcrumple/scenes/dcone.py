@@ -15,7 +15,7 @@ from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float
 from jaxcrumple.mesh.mesh import FloatArray
 from jaxcrumple.model.loads import LinearMotion, Prescribed
-from jaxcrumple.model.walls import Cone, Corners
+from jaxcrumple.model.walls import Cone, PiecewiseLinear
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions
 from jaxcrumple.scenes.snap import check_positive
@@ -48,7 +48,7 @@ def dcone(
     # In the end the middle is just outside the range of the cone, one thickness from its side.
     lowest = -(sheet.clearance + sheet.imperfection + radius * math.sin(tilt)) / math.cos(tilt)
     highest = -sheet.thickness / math.cos(tilt)
-    tip = Corners(jnp.array([0.0, (highest - lowest) / speed]), jnp.array([lowest, highest]))
+    tip = PiecewiseLinear(jnp.array([0.0, (highest - lowest) / speed]), jnp.array([lowest, highest]))
     cone = Cone(jnp.zeros(3), jnp.array([0.0, 0.0, 1.0]), as_float(0.5 * math.pi - tilt), tip)
     middle = int(np.argmin(np.linalg.norm(mesh.vertices[:, :2], axis=1)))
     held = np.zeros((mesh.n_nodes, 3), bool)

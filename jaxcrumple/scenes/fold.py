@@ -15,7 +15,7 @@ from jaxcrumple.material.material import Material
 from jaxcrumple.mesh.generate import rectangle
 from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.model.loads import AbstractMotion, Prescribed
-from jaxcrumple.model.walls import Corners, Plane
+from jaxcrumple.model.walls import PiecewiseLinear, Plane
 from jaxcrumple.scene import sheet
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.snap import check_gap, check_positive
@@ -130,8 +130,8 @@ def plates(size: float, gap: float, times: FoldTimes) -> list[Plane]:
     """Build the fixed lower and the descending upper plate; both retract after the release."""
     high, low = OPEN * size, 0.5 * gap
     moments = jnp.cumsum(jnp.array([0.0, times.close, times.press, times.hold, RETREAT]))
-    lower = Corners(moments, -jnp.array([low, low, low, low, high]))
-    upper = Corners(moments, -jnp.array([high, high, low, low, high]))
+    lower = PiecewiseLinear(moments, -jnp.array([low, low, low, low, high]))
+    upper = PiecewiseLinear(moments, -jnp.array([high, high, low, low, high]))
     up = jnp.array([0.0, 0.0, 1.0])
     return [Plane(up, lower), Plane(-up, upper)]
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float
-from jaxcrumple.model.walls import Corners, Ramp, Sphere
+from jaxcrumple.model.walls import PiecewiseLinear, Ramp, Sphere
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions
 from jaxcrumple.scenes.snap import check_positive
@@ -74,7 +74,9 @@ def unload(
     _check_fits(size, radius)
     way = (radius - least) / speed
     moments = [0.0, way, way + hold, 2.0 * way + hold]
-    wall = Sphere(jnp.zeros(3), Corners(jnp.array(moments), jnp.array([radius, least, least, radius])))
+    wall = Sphere(
+        jnp.zeros(3), PiecewiseLinear(jnp.array(moments), jnp.array([radius, least, least, radius]))
+    )
     sheet = SheetOptions(**options)
     return sheet.setup(sheet.square(size, nodes, seed), [wall])
 

@@ -18,7 +18,7 @@ from jaxcrumple.measure.creases import mean_curvature
 from jaxcrumple.mesh.generate import rectangle
 from jaxcrumple.mesh.mesh import FloatArray, Mesh
 from jaxcrumple.model.loads import AbstractMotion, Prescribed
-from jaxcrumple.model.walls import Corners
+from jaxcrumple.model.walls import PiecewiseLinear
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions
 from jaxcrumple.scenes.snap import check_positive
@@ -29,14 +29,14 @@ FRAME = 0.05
 MIDDLE = 0.1
 
 
-class Bending(AbstractMotion):
+class BendingMotion(AbstractMotion):
     """Rotation of both halves upwards about the line x = 0, each by half of `turn(t)` in rad.
 
     `position` (n, 3): rest positions in m.
     """
 
     position: Array = eqx.field(converter=as_float)
-    turn: Corners
+    turn: PiecewiseLinear
 
     def __call__(self, t: Array) -> Array:
         """Return the positions (n, 3) in m at time `t`."""
@@ -75,7 +75,9 @@ def ridge(
     flat = rectangle(width, along, nodes, seed=seed, sweeps=sheet.sweeps)
     mesh = sheet.imperfect(flat, max(width, along), seed)
     held = np.abs(mesh.vertices[:, 1]) > 0.5 * length
-    motion = Bending(jnp.asarray(mesh.vertices), Corners(jnp.array([0.0, close]), jnp.array([0.0, turn])))
+    motion = BendingMotion(
+        jnp.asarray(mesh.vertices), PiecewiseLinear(jnp.array([0.0, close]), jnp.array([0.0, turn]))
+    )
     return sheet.setup(mesh, [], prescribed=Prescribed(jnp.asarray(np.repeat(held[:, None], 3, 1)), motion))
 
 

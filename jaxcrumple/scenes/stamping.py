@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float
-from jaxcrumple.model.walls import Ball, Corners, Plane, Sphere, of_time
+from jaxcrumple.model.walls import Ball, PiecewiseLinear, Plane, Sphere, of_time
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions, wrapped
 from jaxcrumple.scenes.snap import check_gap, check_positive
@@ -60,7 +60,7 @@ def stamping(
     ball = die - gap
     start = ball - depth + sheet.clearance + sheet.imperfection
     time = stamping_time(die, radius, gap, speed)
-    way = Corners(jnp.array([0.0, time]), jnp.array([start, 0.0]))
+    way = PiecewiseLinear(jnp.array([0.0, time]), jnp.array([start, 0.0]))
     walls = [Sphere(jnp.zeros(3), of_time(die)), Ball(jnp.zeros(3), as_float(UP), as_float(ball), way)]
     return sheet.setup(mesh, walls, x=x)
 
@@ -104,7 +104,7 @@ def shell(
     mesh = flat.with_rest_shape(wrapped(flat.vertices, curvature_radius))
     low, high = mesh.vertices[:, 2].min() - sheet.clearance, mesh.vertices[:, 2].max() + sheet.clearance
     time = shell_time(radius, curvature_radius, gap, speed)
-    plate = Corners(jnp.array([0.0, time]), jnp.array([-high, -(low + gap)]))
+    plate = PiecewiseLinear(jnp.array([0.0, time]), jnp.array([-high, -(low + gap)]))
     return sheet.setup(mesh, [Plane(as_float(UP), of_time(low)), Plane(as_float(-UP), plate)])
 
 

@@ -29,7 +29,7 @@ from jaxcrumple.solvers.contact.schedule import (
     without_matrix,
 )
 from jaxcrumple.solvers.explicit.base import with_slopes
-from jaxcrumple.solvers.implicit.base import Attempt, aligns
+from jaxcrumple.solvers.implicit.base import ImplicitAttempt, aligns
 from jaxcrumple.solvers.implicit.bdf import push
 from jaxcrumple.solvers.implicit.newton import must_restore
 from jaxcrumple.solvers.linear.base import Factor
@@ -278,7 +278,9 @@ def _implicit_attempt(
     )
 
 
-def _moved(scene: Scene, state: State, tried: Attempt, h: Array, t: Array, solver: Integrator) -> State:
+def _moved(
+    scene: Scene, state: State, tried: ImplicitAttempt, h: Array, t: Array, solver: Integrator
+) -> State:
     """Return the state after an implicit step, or the old state if the step is rejected."""
     moved = eqx.tree_at(
         lambda s: (s.t, s.x, s.v, s.history, s.monitor),

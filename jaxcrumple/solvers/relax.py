@@ -14,7 +14,7 @@ from jaxcrumple._jax.tree import as_float, is_known, is_number, require_limit
 from jaxcrumple.contact.lists import motion
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.contact.reallocate import Reallocation
-from jaxcrumple.solvers.contact.schedule import passes, sharpest, without_matrix
+from jaxcrumple.solvers.contact.schedule import passes, unlisted_turn, without_matrix
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
 from jaxcrumple.solvers.linear.registry import choose_linear_solver
 from jaxcrumple.solvers.start import check_gap, check_start
@@ -284,7 +284,7 @@ def _relax(
         # Near the minimum the energy no longer changes in float64, but the force still decreases.
         calmer = _size(new.force) < _size(old.force)
         same = new.energy <= old.energy + SAME * old.magnitude
-        through = passes(scene, eqx.tree_at(lambda s: s.x, state, old.x), x, state.t, sharpest(scene, x))
+        through = passes(scene, eqx.tree_at(lambda s: s.x, state, old.x), x, state.t, unlisted_turn(scene, x))
         finite = jnp.isfinite(new.energy) & jnp.isfinite(_size(new.force))
         turn = _turn(scene, x - old.x)
         keep = finite & ~indefinite & ~through & (turn < TURN) & ((new.energy < old.energy) | (calmer & same))

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxcrumple.contact.energy import nearest
+from jaxcrumple.contact.energy import closest_sites
 from jaxcrumple.contact.host_broad_phase import Search
 from jaxcrumple.contact.lists import SitePairs
 from jaxcrumple.contact.parameters import Contact
@@ -134,7 +134,7 @@ def check_gap(scene: Scene, state: State) -> None:
     contact, lists = scene.contact, scene.lists
     assert contact is not None and lists is not None
     _check_touching(contact, lists.pairs, np.abs(np.asarray(state.x)).max())
-    gap, _, owner = nearest(contact, lists, state.x)
+    gap, _, owner = closest_sites(contact, lists, state.x)
     least = float(CLOSEST * contact.range if contact.core is None else contact.core)
     if float(gap) <= least:
         raise ValueError(

@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike
 from jaxcrumple._jax.door import door
 from jaxcrumple.contact.adjacency import MOST_TURN
 from jaxcrumple.contact.coverage import apart
-from jaxcrumple.contact.energy import energy, nearest
+from jaxcrumple.contact.energy import closest_sites, energy
 from jaxcrumple.contact.lists import ContactLists, Reference, motion
 from jaxcrumple.contact.parameters import Contact
 from jaxcrumple.scene import Scene, require_scene, with_lists
 from jaxcrumple.solvers.contact.reallocate import with_contacts
-from jaxcrumple.solvers.contact.schedule import sharpest
+from jaxcrumple.solvers.contact.schedule import unlisted_turn
 from jaxcrumple.state import check_positions
 
 
@@ -112,8 +112,8 @@ def _measured(scene: Scene, x: Array) -> tuple[tuple[Array, Array, Array], Array
     largest turn left out; and whether the sheet needs no lists."""
     contact, lists = scene.contact, scene.lists
     assert contact is not None and lists is not None
-    gap, count, place = nearest(contact, lists, x)
-    return (energy(contact, lists, x), gap, count), place, sharpest(scene, x), apart(contact, x, x)
+    gap, count, place = closest_sites(contact, lists, x)
+    return (energy(contact, lists, x), gap, count), place, unlisted_turn(scene, x), apart(contact, x, x)
 
 
 def _reports(lists: ContactLists, x: Array):

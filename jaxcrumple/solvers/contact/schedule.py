@@ -77,7 +77,7 @@ class Schedule(NamedTuple):
     - `candidates`, `pairs`: the motions that these two lists must cover after the next rebuild.
     - `status`: a `ListStatus`.
     - `short`: whether triangles were near within a longer step, so that the next step must be short.
-    - `turn`: `sharpest` in rad at the start of the current round of steps.
+    - `turn`: `unlisted_turn` in rad at the start of the current round of steps.
     """
 
     lists: ContactLists
@@ -170,7 +170,7 @@ def renewed(scene: Scene, state: State, schedule: Schedule | None) -> tuple[Stat
     # An overflow for a far step does not ask for capacity: `ready_for` then asks for a short step.
     full = (pairs.overflow & ~_far(contact, schedule)) | candidates.overflow
     state = eqx.tree_at(lambda s: s.listing.needed, state, jnp.where(full, needed, 0))
-    turn = coverage.sharpest(contact, candidates, scene.bending.hinges(state.x).theta)
+    turn = coverage.largest_unlisted_turn(contact, candidates, scene.bending.hinges(state.x).theta)
     if active is not None:
         # The active set refers to places in the old list.
         count = jnp.where(schedule.due, -1, active.count)
@@ -203,14 +203,16 @@ def with_active(
     return state, schedule._replace(lists=lists._replace(active=active))
 
 
-def sharpest(scene: Scene, x: Array) -> Array:
+def unlisted_turn(scene: Scene, x: Array) -> Array:
     """Return the largest turn in rad of the ways at nodes that the lists leave out, at positions `x` (n, 3).
 
     If an upper bound is below `DUE_TURN`, the result is that bound; without contact or lists it is 0.
     """
     if scene.contact is None or scene.lists is None:
         return jnp.zeros(())
-    return coverage.sharpest(scene.contact, scene.lists.candidates, scene.bending.hinges(x).theta)
+    return coverage.largest_unlisted_turn(
+        scene.contact, scene.lists.candidates, scene.bending.hinges(x).theta
+    )
 
 
 def largest_move(
@@ -283,7 +285,7 @@ def _status(
         lambda: apart(contact, state.x, ahead, APART_AHEAD),
         lambda: jnp.asarray(False),
     )
-    blunt = sharpest(listed(scene, schedule), state.x) < DUE_TURN
+    blunt = unlisted_turn(listed(scene, schedule), state.x) < DUE_TURN
     candidates_cover = (listing.candidates.covers(ahead, margin) | flat) & blunt
     # Compare with the first capacities. The current ones grow during a run, and a resumed run would decide
     # differently.
@@ -373,7 +375,7 @@ def passes(scene: Scene, state: State, x: Array, t: Array, turn: Array) -> Array
     """Return whether to reject a step to positions `x` (n, 3) at time `t` in s.
 
     It is rejected if it would pass through a wall or the sheet itself, or leaves the motions that the lists
-    cover. `turn`: `sharpest` in rad at `x`.
+    cover. `turn`: `unlisted_turn` in rad at `x`.
     """
     through = jnp.asarray(False)
     for wall in scene.walls:

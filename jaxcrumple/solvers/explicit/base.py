@@ -11,7 +11,7 @@ from jax import Array
 from jaxcrumple._jax.batched_cond import where_needed
 from jaxcrumple._jax.tree import as_float
 from jaxcrumple.scene import Scene
-from jaxcrumple.solvers.contact.schedule import passes, sharpest
+from jaxcrumple.solvers.contact.schedule import passes, unlisted_turn
 from jaxcrumple.solvers.explicit.stability import Fastest, beside_walls
 from jaxcrumple.state import CAUSES, Slopes, State
 from jaxcrumple.system import rates
@@ -29,11 +29,11 @@ class Tried(NamedTuple):
     slopes: Slopes
 
 
-class Attempt(NamedTuple):
+class ExplicitAttempt(NamedTuple):
     """Hold a step attempt: new `x`, `v`, `p` and `slopes`.
 
     `error`: local error in units of the tolerance; `cause`: index into `CAUSES`, or -1 for an accepted step;
-    `next_h`: next step in s; `turn`: `sharpest` at `x`."""
+    `next_h`: next step in s; `turn`: `unlisted_turn` at `x`."""
 
     x: Array
     v: Array
@@ -82,7 +82,7 @@ class AbstractExplicit(eqx.Module):
 
         The result equals that of `step`, without the error estimate; `replay` differentiates it."""
 
-    def attempt(self, scene: Scene, state: State, h: Array, cap: Array) -> Attempt:
+    def attempt(self, scene: Scene, state: State, h: Array, cap: Array) -> ExplicitAttempt:
         """Try a step of `h` s from a state whose slopes are known; the next step is at most `cap` s."""
         tried, t1 = self.step(scene, state, h), state.t + h
         units = self._units(scene, tried.error)
@@ -91,12 +91,12 @@ class AbstractExplicit(eqx.Module):
         next_h = jnp.where(finite, next_h, 0.25 * h)
         good = keep & finite
         unstable = h > beside_walls(scene, state.limit, tried.x, t1, self.stable)
-        turn = sharpest(scene, tried.x)
+        turn = unlisted_turn(scene, tried.x)
         stopped = good & (unstable | passes(scene, state, tried.x, t1, turn))
         next_h = jnp.where(stopped, 0.4 * h, next_h)
         cause = jnp.where(finite, CAUSES.index("error"), CAUSES.index("nonfinite"))
         cause = jnp.where(good, jnp.where(stopped, CAUSES.index("contact"), -1), cause)
-        return Attempt(tried.x, tried.v, tried.p, tried.slopes, units, cause, next_h, turn)
+        return ExplicitAttempt(tried.x, tried.v, tried.p, tried.slopes, units, cause, next_h, turn)
 
     def _units(self, scene: Scene, error: tuple[Array, Array | None, Array | None]) -> Array:
         """Return the error in units of the tolerance."""

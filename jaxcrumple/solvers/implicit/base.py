@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxcrumple.scene import Scene
-from jaxcrumple.solvers.contact.schedule import passes, sharpest
+from jaxcrumple.solvers.contact.schedule import passes, unlisted_turn
 from jaxcrumple.solvers.implicit.newton import NewtonSolution
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
 from jaxcrumple.state import CAUSES, IMPLICIT, Linearization, State
@@ -26,7 +26,7 @@ SAFETY, WORTHWHILE = 0.7, 1.1
 CUT = 0.4
 
 
-class Attempt(NamedTuple):
+class ImplicitAttempt(NamedTuple):
     """Hold a step attempt: new `x`, `v`, `acceleration` (n, 3) and `p` (h,).
 
     `error`: local error in units of the tolerance; `cause`: index into `CAUSES`, or -1 for an accepted step;
@@ -73,7 +73,7 @@ class AbstractImplicit(eqx.Module):
         """Bound the distance in m of a node from `predict` after an accepted step; 0 if unknown."""
 
     @abc.abstractmethod
-    def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array) -> Attempt:
+    def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array) -> ImplicitAttempt:
         """Try a step of `h` s in the state's stage.
 
         `held`: whether `factor` is the factor of the tangent `state.kept`."""
@@ -96,7 +96,7 @@ def judge(scene: Scene, state: State, solution: NewtonSolution, x: Array, t: Arr
         "newton": ~solution.converged,
         "fold": flipped,
         "error": error > 1.0,
-        "contact": passes(scene, state, x, t, sharpest(scene, x)),
+        "contact": passes(scene, state, x, t, unlisted_turn(scene, x)),
     }
     cause = jnp.asarray(-1)
     for name in reversed(checks):

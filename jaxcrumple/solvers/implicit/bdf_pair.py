@@ -7,7 +7,14 @@ from jax import Array
 from jaxcrumple._jax.tree import as_float
 from jaxcrumple.geometry.hinge import curvature
 from jaxcrumple.scene import Scene
-from jaxcrumple.solvers.implicit.base import LOCAL_SHARE, AbstractImplicit, Attempt, aligns, judge, resized
+from jaxcrumple.solvers.implicit.base import (
+    LOCAL_SHARE,
+    AbstractImplicit,
+    ImplicitAttempt,
+    aligns,
+    judge,
+    resized,
+)
 from jaxcrumple.solvers.implicit.bdf import coefficients, extrapolation
 from jaxcrumple.solvers.implicit.newton import FORCING, NewtonSolution, newton
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
@@ -41,7 +48,7 @@ class BDFPair(AbstractImplicit):
         """Return 0, unknown: the error estimate does not use the predictor."""
         return jnp.zeros(())
 
-    def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array) -> Attempt:
+    def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array) -> ImplicitAttempt:
         """Try a step of `h` s."""
         history = state.history
         order = jnp.clip(history.count, 1, ORDER)
@@ -59,7 +66,7 @@ class BDFPair(AbstractImplicit):
         )
         cause = judge(scene, state, both, x, state.t + h, error)
         next_h = resized(h, order, error, cause, jnp.maximum(order - 1, 1))
-        return Attempt(
+        return ImplicitAttempt(
             x, v, p, (v - state.v) / h, error, cause, order, next_h, history.order, second.factor, state.kept,
             solution.iterations + second.iterations, solution.linear + second.linear,
             solution.factors + second.factors, solution.restored,

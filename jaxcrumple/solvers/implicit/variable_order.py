@@ -14,7 +14,7 @@ from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.implicit.base import (
     LOCAL_SHARE,
     AbstractImplicit,
-    Attempt,
+    ImplicitAttempt,
     aligns,
     judge,
     resized,
@@ -84,7 +84,7 @@ class VariableOrder(AbstractImplicit):
         share = self._formula(scene, state, h).share
         return DIAGONAL * self._allowed(scene, state, h) / share * scene.length_scale
 
-    def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array) -> Attempt:
+    def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array) -> ImplicitAttempt:
         """Try a step of `h` s in the state's stage."""
         formula = self._formula(scene, state, h)
         theta, step, order = formula.theta, formula.step, formula.orders.used
@@ -102,7 +102,7 @@ class VariableOrder(AbstractImplicit):
         cause = judge(scene, state, solution, x, state.t + h, errors[1])
         next_h, next_order = self._next(h, order, errors, cause)
         acceleration = jnp.where(state.stage == IMPLICIT, step.acceleration(mean_v), (v - state.v) / h)
-        return Attempt(
+        return ImplicitAttempt(
             x, v, p, acceleration, errors[1], cause, order, next_h, next_order,
             solution.factor, solution.kept or state.kept, solution.iterations, solution.linear,
             solution.factors, solution.restored,

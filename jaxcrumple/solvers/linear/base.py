@@ -24,7 +24,7 @@ class Factor(NamedTuple):
     negative: Array
 
 
-class Solution(NamedTuple):
+class LinearSolution(NamedTuple):
     """Hold the solution `x` (3n,), the `iterations`, and whether the matrix was found `indefinite`."""
 
     x: Array
@@ -52,7 +52,7 @@ class AbstractLinearSolver(eqx.Module):
     @abc.abstractmethod
     def solve(
         self, pattern: Pattern, factor: Factor, values: Array | None, rhs: Array, rtol: Array | float
-    ) -> Solution:
+    ) -> LinearSolution:
         """Solve A x = `rhs` (3n,) to a residual of `rtol` relative to `rhs`.
 
         `values` (size,) are the entries of A, or None for those of the factor. The factor may be that of

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxcrumple.assembly.sparsity import Pattern
-from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor, Solution, identity_values
+from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor, LinearSolution, identity_values
 from jaxcrumple.solvers.linear.cg import conjugate_gradients
 
 
@@ -41,7 +41,7 @@ class BlockCG(AbstractLinearSolver):
 
     def solve(
         self, pattern: Pattern, factor: Factor, values: Array | None, rhs: Array, rtol: Array | float
-    ) -> Solution:
+    ) -> LinearSolution:
         """Solve by conjugate gradients; a direction of negative curvature sets `indefinite`."""
         values = factor.values if values is None else values
         rows = pattern.expand(values)

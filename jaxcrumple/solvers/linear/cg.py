@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxcrumple.solvers.linear.base import Factor, Solution
+from jaxcrumple.solvers.linear.base import Factor, LinearSolution
 
 
 class _Carry(NamedTuple):
@@ -26,7 +26,7 @@ def conjugate_gradients(
     rhs: Array,
     rtol: Array | float,
     max_iterations: int,
-) -> Solution:
+) -> LinearSolution:
     """Solve A x = `rhs` (m,) until $\\|r\\|_2 \\le$ `rtol` $\\|b\\|_2$ (Saad, Iterative Methods, alg. 9.1).
 
     Each iteration applies `precondition` once; it is not applied after the last iteration. An exact
@@ -57,4 +57,4 @@ def conjugate_gradients(
     end = jax.lax.while_loop(unfinished, body, init)
     # The loop does not start with a right-hand side that is not finite: return NaN instead of zero.
     x = jnp.where(jnp.isfinite(goal), end.x, jnp.nan)
-    return Solution(x, end.iterations, ~end.positive | known)
+    return LinearSolution(x, end.iterations, ~end.positive | known)

@@ -9,7 +9,7 @@ from jax import Array
 
 from jaxcrumple._jax.door import own_modes
 from jaxcrumple.assembly.sparsity import Pattern
-from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor, Solution, identity_values
+from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor, LinearSolution, identity_values
 from jaxcrumple.solvers.linear.cg import conjugate_gradients
 
 # Rounds of iterative refinement of a solution that conjugate gradients do not check.
@@ -64,10 +64,10 @@ class Direct(AbstractLinearSolver):
 
     def solve(
         self, pattern: Pattern, factor: Factor, values: Array | None, rhs: Array, rtol: Array | float
-    ) -> Solution:
+    ) -> LinearSolution:
         """Solve by one substitution with the factor's own values, or by conjugate gradients with others."""
         if values is None:
-            return Solution(_substitute(pattern, factor, rhs), jnp.asarray(1), factor.negative > 0)
+            return LinearSolution(_substitute(pattern, factor, rhs), jnp.asarray(1), factor.negative > 0)
         return conjugate_gradients(
             lambda d: pattern.product(values, d),
             lambda r: _substitute(pattern, factor, r),

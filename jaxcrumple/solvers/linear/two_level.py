@@ -17,7 +17,7 @@ from jax import Array
 
 from jaxcrumple.assembly.coarse_space import SUPPORT, WINDOW, CoarseSpace
 from jaxcrumple.assembly.sparsity import Pattern
-from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor, Solution, identity_values
+from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor, LinearSolution, identity_values
 from jaxcrumple.solvers.linear.block_jacobi import block_factors, pad_blocks, unit_blocks
 from jaxcrumple.solvers.linear.cg import conjugate_gradients
 
@@ -70,7 +70,7 @@ class TwoLevel(AbstractLinearSolver):
 
     def solve(
         self, pattern: Pattern, factor: Factor, values: Array | None, rhs: Array, rtol: Array | float
-    ) -> Solution:
+    ) -> LinearSolution:
         """Solve by conjugate gradients; a direction of negative curvature sets `indefinite`."""
         values = factor.values if values is None else values
         rows = pattern.expand(values)
