@@ -46,7 +46,12 @@ def main() -> None:
 
 
 SceneOrFile = Annotated[
-    str, typer.Argument(metavar="SCENE|FILE.toml", help="A scene (see `jaxcrumple scenes`) or a scene file.")
+    str,
+    typer.Argument(
+        metavar="SCENE|FILE.toml|MODULE:FUNCTION",
+        help="A scene (see `jaxcrumple scenes`), a scene file, or a function that returns a Setup, in a "
+        "module or in FILE.py.",
+    ),
 ]
 Nodes = Annotated[int | None, typer.Option(help="Nodes of the mesh (default: 1000).")]
 EndTime = Annotated[str | None, typer.Option(help="End time in s, or with a unit (default: the scene's).")]
@@ -83,7 +88,7 @@ def run(
     from jaxcrumple.run.progress import ConsoleProgress
     from jaxcrumple.run.run import check_resumable, flat, resume_run, start_run, stored_config
 
-    folder, limit = out or Path("runs") / Path(scene).stem, _seconds(max_seconds)
+    folder, limit = out or Path("runs") / Path(scene.rpartition(":")[2]).stem, _seconds(max_seconds)
     given = {"nodes": nodes, "t_end": t_end, "seed": seed}
     asked: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     if resume and not asked and not settings and not _is_file(scene):

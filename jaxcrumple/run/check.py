@@ -5,7 +5,7 @@ from jaxcrumple.mesh.isotropy import patch_test
 from jaxcrumple.run.balance import Balance, start_balance
 from jaxcrumple.run.config import RunConfig
 from jaxcrumple.run.estimate import estimate, file_mesh, require_config
-from jaxcrumple.scenes import SCENES
+from jaxcrumple.scenes.functions import scene_entry
 from jaxcrumple.state import initial_state
 
 
@@ -18,11 +18,11 @@ def described(config: RunConfig) -> list[str]:
     """
     mesh, options = file_mesh(config), config.options
     nodes = config.nodes if mesh is None else mesh.n_nodes
-    walls = SCENES[config.scene].walls(options)
+    walls = scene_entry(config.scene).walls(options)
     contact = options.get("contact") or "none: the sheet passes through itself"
     solver = config.solver
     return [
-        f"scene: {config.scene}, {SCENES[config.scene].summary}",
+        f"scene: {config.scene}, {scene_entry(config.scene).summary}",
         f"nodes: {nodes}, seed {config.seed}",
         *([] if mesh is None else [f"mesh: {patch_test(mesh)}"]),
         f"walls: {'; '.join(walls) or 'none'}",
@@ -46,6 +46,8 @@ def check_built(config: RunConfig) -> Balance:
 
 def _material(config: RunConfig) -> str:
     made_of = config.material
+    if made_of is None:
+        return "of the Setup"
     if made_of.yield_c0 is not None:
         yields = f"yields at c0 = {made_of.yield_c0:g}"
     elif made_of.yield_curvature is not None:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 import jax.numpy as jnp
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from jaxcrumple.material import presets
 from jaxcrumple.material.material import Material
@@ -23,8 +23,12 @@ from jaxcrumple.options.units import (
 )
 from jaxcrumple.options.validation import ConfigError, Place, shortened, validated
 from jaxcrumple.scenes import SCENES, SceneEntry, Setup
+from jaxcrumple.scenes.functions import absolute, scene_entry
 from jaxcrumple.solvers.scheme import Integrator, Scheme, integrator, switch_of
 from jaxcrumple.solvers.switch import Switch
+
+# Scene of a run that was started from a `Setup`.
+PYTHON = "python"
 
 
 class Options(BaseModel):
@@ -127,21 +131,45 @@ class SolverOptions(Options):
 
 
 class RunConfig(Options):
-    """The complete configuration of one run: running it again gives the same answer."""
+    """The complete configuration of one run: running it again gives the same answer.
 
-    scene: str
+    `scene`: a name, "module:function" or "file.py:function"; or "python" for a run of a `Setup`, whose scene
+    and `material` (None) the options do not tell.
+    """
+
+    scene: Annotated[str, AfterValidator(absolute)]
     nodes: int = Field(1000, ge=16, le=1_000_000)
     seed: int = Field(0, ge=0)
     t_end: Second = Field(gt=0, lt=1e6, allow_inf_nan=False)
     frames: int = Field(26, ge=1, le=100_000)
     options: dict[str, Any] = Field(default_factory=dict)
-    material: MaterialOptions = MaterialOptions()
+    material: MaterialOptions | None = MaterialOptions()
     solver: SolverOptions = SolverOptions()
 
     def build(self) -> Setup:
         """Build mesh, scene and initial positions of the run."""
-        entry = SCENES[self.scene]
-        return entry.build(self.nodes, self.seed, material=self.material.build(), **self.options)
+        if self.scene == PYTHON:
+            raise ConfigError(
+                "the run was started from a Setup that Python built; build it again and pass it: "
+                "jaxcrumple.resume_run(folder, setup=setup)."
+            )
+        material = None if self.material is None else self.material.build()
+        return scene_entry(self.scene).build(self.nodes, self.seed, material=material, **self.options)
+
+
+def config_of(setup: Setup, solver: SolverOptions | Mapping[str, Any] | None = None) -> RunConfig:
+    """Return the configuration of a run of a `Setup` that Python built.
+
+    **Raises:** `ConfigError` for a setup without `t_end`, or unknown or impossible options of the solver.
+    """
+    if setup.t_end is None:
+        raise ConfigError("the setup has no end time; give setup._replace(t_end=...) in s.", ("t_end",))
+    if not isinstance(solver, SolverOptions):
+        solver = validated(SolverOptions, solver or {}, ("solver",))
+    frames = {} if setup.frames is None else {"frames": setup.frames}
+    given = {"scene": PYTHON, "nodes": setup.mesh.n_nodes, "t_end": setup.t_end, "material": None}
+    contact = None if setup.contact is None else setup.contact.potential
+    return validated(RunConfig, {**given, **frames, "options": {"contact": contact}, "solver": solver})
 
 
 def configure(
@@ -200,7 +228,7 @@ def complete(values: Mapping[str, Any], context: Any = None) -> RunConfig:
         parts["options"] = {"damping": "paper", **parts["options"]}
     checked = {name: validated(model, parts[name], (name,), context) for name, model in groups.items()}
     checked["options"] = checked["options"].model_dump()
-    config = validated(RunConfig, {"t_end": entry.end(checked["options"]), **values, **checked})
+    config = validated(RunConfig, {**_length(entry, values, checked), **values, **checked})
     last = entry.lasts(config.options)
     if config.t_end >= last:
         raise ConfigError(
@@ -215,12 +243,28 @@ def complete(values: Mapping[str, Any], context: Any = None) -> RunConfig:
     return config
 
 
+def _length(entry: SceneEntry, values: Mapping[str, Any], checked: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the default end time in s, and the frames if the scene has its own default.
+
+    A function of the user is called for them, unless they are given.
+    """
+    if not entry.own:
+        return {"t_end": entry.end(checked["options"])}
+    if "t_end" in values and "frames" in values:
+        return {}
+    # The end time is not known yet, but nodes and seed must be valid.
+    draft = validated(RunConfig, {"t_end": 1.0, **values, **checked})
+    setup = draft.build()
+    found = {"t_end": setup.t_end, "frames": setup.frames}
+    if setup.t_end is None and "t_end" not in values:
+        entry.end(draft.options)
+    return {name: value for name, value in found.items() if value is not None}
+
+
 def _entry(scene: Any) -> SceneEntry:
     if scene is None:
         raise ConfigError(f"scene is missing; give one of {', '.join(SCENES)}.", ("scene",))
-    if not isinstance(scene, str) or scene not in SCENES:
-        raise ConfigError(f"scene {scene!r} is unknown{nearest(str(scene), SCENES)}", ("scene",))
-    return SCENES[scene]
+    return scene_entry(scene)
 
 
 def _groups(entry: SceneEntry) -> dict[str, type[BaseModel]]:

@@ -4,7 +4,7 @@ import importlib.metadata
 import resource
 import sys
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from jaxcrumple.io.rundir import FILM, PARTIAL, RUN, is_run, make_folder, read_c
 from jaxcrumple.io.sketch import SAME, first_difference, sketch_scene
 from jaxcrumple.io.verify import check_sound, damages, go_back
 from jaxcrumple.mesh.mesh import Mesh
-from jaxcrumple.run.config import ConfigError, RunConfig
+from jaxcrumple.run.config import PYTHON, ConfigError, RunConfig, SolverOptions, config_of
 from jaxcrumple.run.estimate import require_config
 from jaxcrumple.run.summary import physics
 from jaxcrumple.scenes import Setup
@@ -74,16 +74,18 @@ class RunRecorder:
 
 @door
 def start_run(
-    config: RunConfig,
+    run: RunConfig | Setup,
     out: str | Path,
     observers: Sequence[Observer] = (),
     *,
+    solver: SolverOptions | Mapping[str, Any] | None = None,
     max_seconds: float | None = None,
     wait: bool = False,
 ) -> dict[str, Any]:
-    """Run a configuration into a new folder `out` and return the summary.
+    """Run a configuration, or a `Setup` with an end time, into a new folder `out` and return the summary.
 
-    **Arguments:** `max_seconds`: wall time, without compile time, after which the run ends with the result
+    **Arguments:** `solver`: options of the solver for a `Setup`, e.g. `{"rtol": 1e-3}`; a configuration has
+    its own. `max_seconds`: wall time, without compile time, after which the run ends with the result
     "budget"; `resume_run` continues it. `wait`: whether to wait for another process that writes into the
     folder, instead of refusing.
 
@@ -91,15 +93,18 @@ def start_run(
     or a sheet that starts behind a wall or intersects itself. Both occur before the run begins and leave
     nothing on the disk.
     """
-    solver = config.solver.build()
+    if not isinstance(run, Setup) and solver is not None:
+        raise ConfigError("the configuration has its own solver; give solver only with a Setup.")
+    config = config_of(run, solver) if isinstance(run, Setup) else run
+    own = config.solver.build()
     RunDirectory.check_free(out)
     require_config(config)
-    setup = config.build()
+    setup = run if isinstance(run, Setup) else run.build()
     state = initial_state(setup.scene, setup.x, ledger=config.solver.ledger)
     check_start(setup.scene, state)
     with writing(make_folder(out), wait=wait):
         folder = RunDirectory.create(out, *_parts(config, setup))
-        return _go(config, folder, setup, solver, state, {}, observers, max_seconds)
+        return _go(config, folder, setup, own, state, {}, observers, max_seconds)
 
 
 @door
@@ -107,6 +112,7 @@ def resume_run(
     out: str | Path,
     observers: Sequence[Observer] = (),
     *,
+    setup: Setup | None = None,
     max_seconds: float | None = None,
     wait: bool = False,
 ) -> dict[str, Any]:
@@ -114,10 +120,11 @@ def resume_run(
 
     This first verifies all files of the run. For a successful run it only reads the summary.
 
-    **Arguments:** `max_seconds`, `wait`: as in `start_run`.
+    **Arguments:** `setup`: the `Setup` of a run that began with one, built again. `max_seconds`, `wait`: as
+    in `start_run`.
 
     **Raises:** `RunDirectoryError` if `out` is not a run, is damaged, or another process writes into it;
-    ValueError if the options no longer build the original scene.
+    ValueError if the options, or `setup`, no longer build the original scene.
     """
     path = RunDirectory.open(out).path
     with writing(path, wait=wait):
@@ -127,7 +134,7 @@ def resume_run(
         if summary.get("result") == "success":
             return summary
         config = stored_config(folder)
-        solver, setup = config.solver.build(), _built_again(config, folder)
+        solver, setup = config.solver.build(), _built_again(config, folder, setup)
         folder.cut()
         state, spent = initial_state(setup.scene, setup.x, ledger=config.solver.ledger), {}
         if folder.manifest.checkpoint is not None:
@@ -176,26 +183,28 @@ def _begin_again(path: Path) -> None:
         ) from error
     folder = RunDirectory(path, contents, Manifest())
     config = stored_config(folder)
-    setup = _built_again(config, folder, mesh=False)
+    setup = _built_again(config, folder, None, mesh=False)
     folder.clear()
     RunDirectory.begin(path, *_parts(config, setup))
 
 
-def _built_again(config: RunConfig, folder: RunDirectory, *, mesh: bool = True) -> Setup:
-    """Build the run's mesh, scene and start again.
+def _built_again(config: RunConfig, folder: RunDirectory, setup: Setup | None, *, mesh: bool = True) -> Setup:
+    """Build the run's mesh, scene and start again, or take those of a `setup`.
 
     **Raises:** ValueError if they differ from those of the original run.
     """
     require_config(config)
-    setup = config.build()
+    if setup is not None and config.scene != PYTHON:
+        raise ConfigError(f"the run began with the options of {config.scene!r}; resume it without setup.")
+    setup = config.build() if setup is None else setup
     other = first_difference(folder.built, sketch_scene(setup.scene, setup.x))
     if mesh and not _same_mesh(folder.load_mesh(), setup.mesh):
         other = "mesh"
     if other:
         raise RunDirectoryError(
             f"the options of {str(folder.path)!r} now make another {other} than the run began with: a file "
-            "that they name was changed, or this version of the program builds it differently. "
-            "Restore the file or the version, or start a new run in another folder"
+            "that they name was changed, or the function or Setup of the scene, or this version of the "
+            "program builds it differently. Restore what was changed, or start a new run in another folder"
         )
     return setup
 
@@ -343,5 +352,5 @@ def check_resumable(config: RunConfig, given: Collection[str], out: str | Path) 
 def flat(config: RunConfig) -> dict[str, Any]:
     """Return all options by name."""
     top = config.model_dump()
-    groups = [top.pop(name) for name in ("options", "material", "solver")]
+    groups = [top.pop(name) or {} for name in ("options", "material", "solver")]
     return top | {name: value for group in groups for name, value in group.items()}

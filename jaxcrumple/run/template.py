@@ -12,7 +12,7 @@ from jaxcrumple.options.units import unit_of
 from jaxcrumple.options.validation import models_in
 from jaxcrumple.run.config import RunConfig, configure
 from jaxcrumple.run.scene_file import plain
-from jaxcrumple.scenes import SCENES
+from jaxcrumple.scenes.functions import scene_entry
 
 # Description of numbers without a unit.
 _NUMBERS = {float: "a number", int: "a whole number"}
@@ -28,11 +28,11 @@ def template(scene: str) -> str:
     """
     config = configure(scene)
     document = tomlkit.document()
-    document.add(tomlkit.comment(f"{scene}: {SCENES[scene].summary}."))
+    document.add(tomlkit.comment(f"{scene}: {scene_entry(scene).summary}."))
     document.add(tomlkit.comment('Numbers are in SI units; strings may carry a unit, such as "0.25 mm".'))
-    groups: dict[str, type[BaseModel]] = {"options": SCENES[scene].options}
+    groups: dict[str, type[BaseModel]] = {"options": scene_entry(scene).options}
     _fill(document, RunConfig, plain(config.model_dump()), groups)
-    return tomlkit.dumps(document) + "".join(_listed("options", SCENES[scene].options))
+    return tomlkit.dumps(document) + "".join(_listed("options", scene_entry(scene).options))
 
 
 def _fill(

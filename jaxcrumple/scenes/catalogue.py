@@ -32,7 +32,7 @@ class SceneEntry(NamedTuple):
 
     `ends`: default end time in s as a function of the options; `lasts`: time in s, as a function of the
     options, that a run must end before, with the reason `why_it_ends`; `walls`: description of the walls, as
-    a function of the options.
+    a function of the options; `own`: whether it is a function of the user, whose `Setup` has the end time.
     """
 
     build: Callable[..., Setup]
@@ -42,6 +42,7 @@ class SceneEntry(NamedTuple):
     lasts: OfOptions = lambda options: math.inf
     why_it_ends: str = ""
     walls: Callable[[Given], Sequence[str]] = lambda options: ()
+    own: bool = False
 
     def end(self, given: Given) -> float:
         """Return the default end time in s for these options, to nine digits."""

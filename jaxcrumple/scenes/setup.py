@@ -35,7 +35,8 @@ class Setup(NamedTuple):
     """A scene ready to run.
 
     `mesh` of the sheet, `scene`, initial positions `x` (n, 3) in m, options of self-`contact` (None: no
-    contact) and `material` (None: unknown).
+    contact) and `material` (None: unknown). `t_end` in s and `frames`: end time and number of frames of a run
+    that gives none.
     """
 
     mesh: Mesh
@@ -43,6 +44,8 @@ class Setup(NamedTuple):
     x: Array
     contact: SelfContact | None = None
     material: Material | None = None
+    t_end: float | None = None
+    frames: int | None = None
 
     @door
     def made_of(self, material: Material) -> Scene:

@@ -8,7 +8,7 @@ from pydantic import Field
 from jaxcrumple.options.toml import read_toml
 from jaxcrumple.options.units import TIME
 from jaxcrumple.run.config import ConfigError, Options, unit_named, validated
-from jaxcrumple.scenes import SCENES
+from jaxcrumple.scenes.functions import scene_entry
 
 
 class SweepFile(Options):
@@ -30,7 +30,7 @@ class SweepFile(Options):
     @property
     def end(self) -> float:
         """End time in s."""
-        return SCENES[self.scene].t_end if self.t_end is None else self.t_end
+        return scene_entry(self.scene).t_end if self.t_end is None else self.t_end
 
 
 def read_sweep(path: str | Path) -> SweepFile:
@@ -43,8 +43,7 @@ def read_sweep(path: str | Path) -> SweepFile:
     values, _ = read_toml(path)
     try:
         found = validated(SweepFile, values)
-        if found.scene not in SCENES:
-            raise ConfigError(f"scene {found.scene!r} is unknown; choose one of {', '.join(SCENES)}.")
+        scene_entry(found.scene)
         for name in ("frames", "t_end", "max_seconds"):
             if name in found.settings or name in found.over:
                 raise ConfigError(f"{name} is the same for all: give it at the top, before the tables.")

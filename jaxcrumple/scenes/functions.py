@@ -1,0 +1,139 @@
+"""Scenes from functions of the user, named "module:function" or "file.py:function"."""
+
+import importlib
+import importlib.util
+import inspect
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, create_model
+
+from jaxcrumple.options.suggest import nearest
+from jaxcrumple.options.validation import ConfigError
+from jaxcrumple.scenes.catalogue import SCENES, SceneEntry
+from jaxcrumple.scenes.setup import Setup
+
+# Parameters of a scene function that are no options of the scene.
+GIVEN = ("nodes", "seed", "material")
+
+
+def scene_entry(name: Any) -> SceneEntry:
+    """Return the entry of a scene by its name in the catalogue, or of a function "module:function".
+
+    A module is looked up as Python does, and in the working directory; "file.py:function" names a file.
+
+    **Raises:** `ConfigError` for an unknown scene, module or function, or a function of another signature.
+    """
+    if isinstance(name, str) and name in SCENES:
+        return SCENES[name]
+    if is_function(name):
+        return _entry_of(_function(name), name)
+    known = nearest(str(name), SCENES) if isinstance(name, str) else f"; give one of {', '.join(SCENES)}."
+    raise ConfigError(f"scene {name!r} is unknown{known}", ("scene",))
+
+
+def is_function(name: Any) -> bool:
+    """Return whether the name of a scene names a function of the user."""
+    return isinstance(name, str) and ":" in name
+
+
+def absolute(name: str) -> str:
+    """Return the name with the absolute path of its file, so that it holds in any working directory."""
+    if not is_function(name):
+        return name
+    place, _, function = name.rpartition(":")
+    return f"{Path(place).resolve()}:{function}" if place.endswith(".py") else name
+
+
+def _function(name: str) -> Callable[..., Setup]:
+    place, _, attribute = name.rpartition(":")
+    module = _from_file(Path(place)) if place.endswith(".py") else _imported(place)
+    function = getattr(module, attribute, None)
+    if not callable(function):
+        functions = [key for key, value in vars(module).items() if inspect.isfunction(value)]
+        raise ConfigError(
+            f"scene {name!r}: {place} has no function {attribute!r}{nearest(attribute, functions)}"
+        )
+    return function
+
+
+def _imported(name: str) -> ModuleType:
+    here = str(Path.cwd())
+    # As `python -m` does; workers and later imports of the same module need it too.
+    if here not in sys.path and "" not in sys.path:
+        sys.path.insert(0, here)
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{name}.".startswith(f"{error.name}."):
+            raise
+        raise ConfigError(
+            f"scene: there is no module {name!r} in {here} or on Python's path; give MODULE:FUNCTION or "
+            "FILE.py:FUNCTION.",
+            ("scene",),
+        ) from error
+
+
+def _from_file(path: Path) -> ModuleType:
+    if not path.is_file():
+        raise ConfigError(f"scene: there is no file {str(path)!r}; give FILE.py:FUNCTION.", ("scene",))
+    name = str(path.resolve())
+    if name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(name, path)
+        assert spec is not None and spec.loader is not None
+        module = sys.modules[name] = importlib.util.module_from_spec(spec)
+        try:
+            spec.loader.exec_module(module)
+        except BaseException:
+            del sys.modules[name]
+            raise
+    return sys.modules[name]
+
+
+def _entry_of(function: Callable[..., Setup], name: str) -> SceneEntry:
+    """Return the entry of a function; its keyword parameters with their annotations are the options."""
+    parameters = inspect.signature(function).parameters
+    missing = [given for given in GIVEN if given not in parameters]
+    kinds = {parameter.kind for parameter in parameters.values()}
+    if missing or inspect.Parameter.VAR_KEYWORD in kinds or inspect.Parameter.VAR_POSITIONAL in kinds:
+        raise ConfigError(
+            f"scene {name!r} must be a function of nodes, seed and material, and of its options by name: "
+            "def scene(nodes, seed, *, material, width=0.1) -> Setup.",
+            ("scene",),
+        )
+    options: dict[str, Any] = {
+        key: (_annotation(parameter), ... if parameter.default is parameter.empty else parameter.default)
+        for key, parameter in parameters.items()
+        if key not in GIVEN
+    }
+    model = create_model(f"Options of {name}", __base__=_FunctionOptions, **options)
+    summary = (inspect.getdoc(function) or "scene of the user").splitlines()[0].rstrip(".")
+    return SceneEntry(_checked(function, name), model, _no_end, summary, own=True)
+
+
+class _FunctionOptions(BaseModel):
+    """Base of the options of a function: unknown names are errors; values of any type are kept."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+
+
+def _annotation(parameter: inspect.Parameter) -> Any:
+    return Any if parameter.annotation is parameter.empty else parameter.annotation
+
+
+def _checked(function: Callable[..., Setup], name: str) -> Callable[..., Setup]:
+    def build(nodes: int, seed: int, **options: Any) -> Setup:
+        setup = function(nodes=nodes, seed=seed, **options)
+        if not isinstance(setup, Setup):
+            raise ConfigError(f"scene {name!r} must return a jaxcrumple.Setup, not {type(setup).__name__}.")
+        return setup
+
+    return build
+
+
+def _no_end(options: Mapping[str, Any]) -> float:
+    """Say that the end time of a function is that of its `Setup`."""
+    raise ConfigError("t_end is missing: give it, or return a Setup with t_end.", ("t_end",))
