@@ -76,6 +76,19 @@ class Scene(eqx.Module):
         return jnp.mean(self.mass) / jnp.mean(self.drag.coefficient)
 
     @property
+    def own_lists(self) -> ContactLists:
+        """Return the neighbour lists.
+
+        **Raises:** ValueError if the scene has none.
+        """
+        if self.lists is None:
+            raise ValueError(
+                "the scene has contact but no neighbour lists; build them for the positions: "
+                "scene = jaxcrumple.with_contacts(scene, x)."
+            )
+        return self.lists
+
+    @property
     def sparsity(self) -> Pattern:
         """Return the pattern of the tangent, with the blocks of the pairs in `lists`."""
         if self.contact is None or self.lists is None:

@@ -12,7 +12,6 @@ from jax.typing import ArrayLike
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float, require_shape
 from jaxcrumple.contact import energy as contact_energy
-from jaxcrumple.contact.coverage import covers
 from jaxcrumple.geometry.hinge import Hinge, curvature
 from jaxcrumple.model.plasticity import implicit_update
 from jaxcrumple.scene import Scene, require_scene
@@ -44,7 +43,7 @@ def energies(scene: Scene, x: ArrayLike, v: ArrayLike, p: ArrayLike | None, t: A
     return Energies(
         stretch=scene.membrane.energy(x),
         bending=scene.bending.energy(x, scene.rest_curvature_of(p)),
-        contact=zero if scene.contact is None else contact_energy.energy(scene.contact, scene.lists, x),
+        contact=zero if scene.contact is None else contact_energy.energy(scene.contact, scene.own_lists, x),
         confinement=sum((w.energy(x, t) for w in scene.walls), zero),
         gravity=zero if scene.gravity is None else scene.gravity.energy(x),
         extra=sum((e.energy(x, t) for e in scene.extra), zero),
@@ -86,7 +85,7 @@ def force_terms(scene: Scene, x: Array, p: Array | None, t: Array) -> list[Array
     """Compute the forces (n, 3) in N on nodes at rest, term by term; their sum is `force` at v = 0."""
     bending = scene.bending.force(scene.bending.hinges(x), scene.rest_curvature_of(p), x.shape[0])
     terms = [scene.membrane.force(x), bending]
-    terms += [] if scene.contact is None else [contact_energy.force(scene.contact, scene.lists, x)]
+    terms += [] if scene.contact is None else [contact_energy.force(scene.contact, scene.own_lists, x)]
     terms += [wall.force(x, t) for wall in scene.walls]
     terms += [term.force(x, t) for term in scene.extra]
     return terms if scene.gravity is None else [*terms, scene.gravity.force()]
@@ -95,7 +94,7 @@ def force_terms(scene: Scene, x: Array, p: Array | None, t: Array) -> list[Array
 def _external_force(scene: Scene, x: Array, t: Array) -> Array:
     total = scene.membrane.force(x)
     if scene.contact is not None:
-        total = total + contact_energy.force(scene.contact, scene.lists, x)
+        total = total + contact_energy.force(scene.contact, scene.own_lists, x)
     for wall in scene.walls:
         total = total + wall.force(x, t)
     for term in scene.extra:
@@ -222,14 +221,13 @@ def _assemble(scene: Scene, x, t, edge_blocks, hinge_blocks, nodes) -> Array:
     for wall in scene.walls:
         nodes = nodes + wall.blocks(x, t)
     extra = [term.blocks(x, t) for term in scene.extra]
-    pattern, contact, lists = scene.pattern, scene.contact, scene.lists
+    pattern, contact = scene.pattern, scene.contact
     blocks = pattern.assemble([edge_blocks, hinge_blocks, *extra], nodes)
-    if contact is None:
+    if contact is None or pattern.face_blocks is None:
         values = pattern.values(blocks)
-    elif lists is None or pattern.face_blocks is None:
-        values = jnp.where(covers(contact, None, x), pattern.values(blocks), jnp.nan)
     else:
-        blocks, cross, lift = contact_energy.add_tangent(contact, lists, x, blocks, pattern.face_blocks)
+        lists, faces = scene.own_lists, pattern.face_blocks
+        blocks, cross, lift = contact_energy.add_tangent(contact, lists, x, blocks, faces)
         values = jnp.concatenate([pattern.values(blocks), cross.reshape(-1), lift])
     return values if scene.prescribed is None else _eliminate(scene, scene.prescribed.held(t), values)
 

@@ -23,8 +23,8 @@ class Bound(eqx.Module):
         """Smallest gap, and number of interacting site pairs."""
         return energy.closest_sites(self.contact, self.lists, x)[:2]
 
-    def covers(self, x, start=None):
-        return coverage.covers(self.contact, self.lists, x, start)
+    def covers(self, x):
+        return coverage.covers(self.lists, x)
 
     def crosses(self, start, end):
         return ccd.crosses(self.contact, self.lists, start, end)

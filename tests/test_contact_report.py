@@ -67,12 +67,11 @@ def test_a_report_tells_what_capacity_is_missing(layers):
     assert not report.valid and f"triangle pairs need a capacity of {wanted[0]}" in report.reasons[0]
 
 
-def test_a_flat_sheet_needs_no_lists(layers):
-    scene, _ = layers
-    flat = jnp.asarray(scene.contact.rest)
-    assert float(jc.energies(scene, flat, flat, None, 0.0).contact) == 0.0
-    bent = flat.at[:, 2].set(jnp.abs(flat[:, 0])).at[:, 0].multiply(0.1)
-    assert np.isnan(float(jc.energies(scene, bent, bent, None, 0.0).contact))
+def test_energies_ask_for_the_lists_that_a_scene_lacks(layers):
+    scene, x = layers
+    for call in (jc.energies, jc.force):
+        with pytest.raises(ValueError, match=r"no neighbour lists; build them .*with_contacts\(scene, x\)"):
+            call(scene, x, x, None, 0.0)
 
 
 def test_a_phantom_sheet_has_no_report():

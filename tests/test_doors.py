@@ -94,7 +94,7 @@ class Lukewarm(jc.AbstractFlowRule):
         ),
         (
             lambda: jc.SmoothstepFlow(2.5, 1.0, 0.0),
-            r"^yield_curvature of SmoothstepFlow reaches 2\.5; it must be below 2",
+            r"^yield_threshold of SmoothstepFlow reaches 2\.5; it must be below 2",
         ),
         (lambda: scene(like=MESH), r"^like has type Mesh; it must be a Scene"),
         (

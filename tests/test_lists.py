@@ -142,7 +142,7 @@ def test_what_is_only_near_a_long_step_makes_it_short_and_needs_no_room(room):
     scene = jc.sheet(mesh, jc.Material(thickness=sigma), contact=jc.SelfContact(range=sigma, level=3))
     # As in a sheet whose triangles are all as wide as most of these, and which is not flat.
     calm = jnp.asarray(8.0 * sigma)
-    scene = eqx.tree_at(lambda s: (s.contact.calm, s.contact.chart), scene, (calm, None))
+    scene = eqx.tree_at(lambda s: s.contact.calm, scene, calm)
     own = Reallocation(scene, merged=False)
     own.capacity = room
     state = jc.initial_state(scene, x)

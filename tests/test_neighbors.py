@@ -126,7 +126,7 @@ def test_what_is_active_touches_where_the_whole_list_does(way, crosses):
     layer = np.round(np.asarray(here.x)[:, 2] / (GAP * SIGMA))
     end = here.x.at[:, 2].add(-way * SIGMA * (layer - 0.5) * (layer >= 0) * 2)
     for one in (whole, part):
-        assert bool(one.covers(end, here.x))
+        assert bool(one.covers(end))
         assert bool(one.crosses(here.x, end)) == crosses
     assert int(part.lists.active.close_count) > 0
 

@@ -53,7 +53,7 @@ def pair_energy(distance: Array, stiffness: Array, sigma: Array, core: Array | f
     return jnp.where(inside, stiffness * sigma * sigma * jnp.exp(-width / gap) * growth, 0.0)
 
 
-def energy(contact: Contact, lists: ContactLists | None, x: Array) -> Array:
+def energy(contact: Contact, lists: ContactLists, x: Array) -> Array:
     """Return the energy in J at positions `x` (n, 3); NaN where the lists are not valid."""
 
     def add(total: Array, contact: Contact, x: Array, terms: PairTerms) -> Array:
@@ -63,7 +63,7 @@ def energy(contact: Contact, lists: ContactLists | None, x: Array) -> Array:
     return _sum(contact, lists, x, interacting, add, jnp.zeros((), x.dtype))
 
 
-def force(contact: Contact, lists: ContactLists | None, x: Array) -> Array:
+def force(contact: Contact, lists: ContactLists, x: Array) -> Array:
     """Return the nodal forces (n, 3) in N, (27)-(28); NaN where the lists are not valid."""
 
     def add(total: Array, contact: Contact, x: Array, terms: PairTerms) -> Array:
@@ -115,7 +115,7 @@ def nearer_product(contact: Contact, lists: ContactLists, x: Array) -> Callable[
     The Hessian is that at positions `x` (n, 3), but with all distances reduced by `CLOSER`, since motion may
     reduce them.
     """
-    found, holds = interacting(contact, lists, x, CLOSER), covers(contact, lists, x)
+    found, holds = interacting(contact, lists, x, CLOSER), covers(lists, x)
 
     def add(total: Array, contact: Contact, both: tuple[Array, Array], terms: PairTerms) -> Array:
         (r, distance), (change, _) = separation(terms, both[0]), separation(terms, both[1])
@@ -174,14 +174,9 @@ def _matrices(contact: Contact, terms: PairTerms, direction: Array, distance: Ar
     return stiffness * along + tension[:, None, None] * jnp.eye(3), tension
 
 
-def _sum(
-    contact: Contact, lists: ContactLists | None, x: Array, find: Callable[..., Any], add, nothing: Any
-) -> Any:
+def _sum(contact: Contact, lists: ContactLists, x: Array, find: Callable[..., Any], add, nothing: Any) -> Any:
     """Add the contributions of the pairs that `find` selects to `nothing`; NaN where lists are not valid."""
-    value = nothing
-    if lists is not None:
-        value = _added(contact, lists.pairs, x, find(contact, lists, x), add, nothing)
-    holds = covers(contact, lists, x)
+    value, holds = _added(contact, lists.pairs, x, find(contact, lists, x), add, nothing), covers(lists, x)
     return jax.tree.map(lambda total: jnp.where(holds, total, jnp.nan), value)
 
 

@@ -10,7 +10,6 @@ from jax import Array
 
 from jaxcrumple._jax.tree import as_float, is_known
 from jaxcrumple.contact.adjacency import Fans, build_fans
-from jaxcrumple.contact.flatness import Chart, build_chart
 from jaxcrumple.contact.sites import build_sites, require_candidates, require_sites, site_density
 from jaxcrumple.material.material import ModelConstants
 from jaxcrumple.mesh.mesh import Mesh
@@ -57,7 +56,6 @@ class Contact(eqx.Module):
     - `stiffness` $k_s$ in N/m; `range` $\\sigma$ in m; `core` in m, or None for the penalty.
     - `calm` in m: skin with which the lists of a flat sheet stay empty.
     - `fans`: triangles that share a node, and the hinges between them.
-    - `chart`: proves that a nearly flat sheet has no contact and needs no lists; or None.
     """
 
     faces: Array
@@ -71,7 +69,6 @@ class Contact(eqx.Module):
     core: Array | None
     calm: Array = eqx.field(converter=as_float)
     fans: Fans
-    chart: Chart | None
 
 
 def _is_number(value: Any) -> bool:
@@ -107,11 +104,11 @@ def build_contact(
         level = _level(mesh, sigma, options)
         require_sites(len(mesh.faces), level, float(sigma), chosen=options.level is not None)
         require_candidates(mesh, float(sigma))
-        sites, fans, chart = build_sites(level), build_fans(mesh), build_chart(mesh)
+        sites, fans = build_sites(level), build_fans(mesh)
         weights, share, place = map(jnp.asarray, sites)
         core = as_float(CORE * _longest(mesh) / (level + 1)) if barrier else None
     else:
-        weights, share, place, fans, chart = like.weights, like.share, like.place, like.fans, like.chart
+        weights, share, place, fans = like.weights, like.share, like.place, like.fans
         core = like.core
     least = 0.5 * (CALM * mesh.hinge_height.min() - sigma)
     return Contact(
@@ -126,7 +123,6 @@ def build_contact(
         core=core,
         calm=as_float(jnp.maximum(least, LEAST * sigma)),
         fans=fans,
-        chart=chart,
     )
 
 

@@ -7,7 +7,6 @@ import numpy as np
 from jax import Array
 
 from jaxcrumple.assembly.merged_matrix import Merger
-from jaxcrumple.contact.coverage import apart
 from jaxcrumple.contact.host_broad_phase import Search
 from jaxcrumple.contact.lists import (
     CandidatePairs,
@@ -57,7 +56,7 @@ def make_lists(
     assert contact is not None and scene.lists is not None
     search = Search(contact, np.asarray(scene.bending.nodes))
     before = np.concatenate([start[None], x.reshape(-1, *start.shape)[:-1]]).reshape(x.shape)
-    found = [_met(scene, search, *stretch) for stretch in zip(before, x, explicit, strict=True)]
+    found = [_met(search, *stretch) for stretch in zip(before, x, explicit, strict=True)]
     room = doubled(FEWEST, max(len(pairs) for pairs, _ in found))
     triangles = np.zeros((len(found), room, 2), np.int32)
     for row, (pairs, _) in zip(triangles, found, strict=True):
@@ -69,15 +68,14 @@ def make_lists(
 
 
 def _met(
-    scene: Scene, search: Search, before: np.ndarray, x: np.ndarray, explicit: np.ndarray
+    search: Search, before: np.ndarray, x: np.ndarray, explicit: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the candidate pairs of the steps from `before` to `x` (s, n, 3).
 
     Returns the sorted pairs of triangles (c, 2), and the flags `folded` (w,) as in `CandidatePairs`."""
-    contact, n = scene.contact, len(search.faces)
-    assert contact is not None
+    n = len(search.faces)
     keys, folded = [np.zeros(0, np.int64)], np.zeros(len(search.fan_triangles), bool)
-    left = [k for k in range(len(x)) if not _apart(contact, before[k], x[k])]
+    left = list(range(len(x)))
     while left:
         first = x[left[0]]
         moved = np.stack([np.asarray(motion(first, x[k])) for k in left])
@@ -90,11 +88,6 @@ def _met(
         folded, left = folded | ways, left[together:]
     key = np.unique(np.concatenate(keys))
     return np.stack([key // n, key % n], axis=1), folded
-
-
-@eqx.filter_jit
-def _apart(contact, start: Array, end: Array) -> Array:
-    return apart(contact, start, end)
 
 
 def _merged(merger: Merger, found: list[np.ndarray]) -> MatrixPairs:

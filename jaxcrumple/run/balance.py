@@ -78,8 +78,8 @@ def _evaluated(scene: Scene, x: Array, p: Array | None, t: Array) -> dict[str, t
     }
     if scene.contact is not None:
         terms["contact"] = (
-            contact.energy(scene.contact, scene.lists, x),
-            contact.force(scene.contact, scene.lists, x),
+            contact.energy(scene.contact, scene.own_lists, x),
+            contact.force(scene.contact, scene.own_lists, x),
         )
     for index, wall in enumerate(scene.walls):
         terms[f"wall {index} ({type(wall.shape).__name__})"] = wall.energy(x, t), wall.force(x, t)

@@ -219,9 +219,7 @@ def _within_reach(scene: Scene, x: Array, step: Array) -> Array:
     """Shorten the step (n, 3) from `x` to the reach of contact lists that were built there."""
     if scene.contact is None:
         return step
-    if scene.lists is None:
-        return jnp.zeros_like(step)
-    reach = STRIDE * jnp.min(scene.lists.pairs.reference.skin)
+    reach = STRIDE * jnp.min(scene.own_lists.pairs.reference.skin)
     # A zero step gives an infinite quotient, and stays zero.
     return step * jnp.minimum(1.0, reach / jnp.max(motion(x, x + step)))
 

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from jaxcrumple._jax.door import door
 from jaxcrumple.contact.adjacency import MOST_TURN
-from jaxcrumple.contact.coverage import apart
 from jaxcrumple.contact.energy import closest_sites, energy
 from jaxcrumple.contact.lists import ContactLists, Reference, motion
 from jaxcrumple.contact.parameters import Contact
@@ -47,7 +46,7 @@ class ListReport(NamedTuple):
 class ContactReport(NamedTuple):
     """Describe the contact of a sheet at given positions.
 
-    - `valid`: whether energies and forces can be computed; `reasons`: why not, or why without lists.
+    - `valid`: whether energies and forces can be computed; `reasons`: why not.
     - `energy` in J; `interacting`: number of interacting site pairs; `gap` in m: the smallest distance of two
       of them, or infinity; `closest`: nodes of the two triangles of that pair, or None.
     - `turn` in rad: largest turn around a node of two triangles that the candidates leave out.
@@ -93,27 +92,24 @@ def contact_report(scene: Scene, x: ArrayLike) -> ContactReport:
     scene = with_contacts(scene, x) if scene.lists is None else scene
     assert scene.contact is not None and scene.lists is not None
     contact, lists, x = scene.contact, scene.lists._replace(active=None), jnp.asarray(x, float)
-    numbers, place, turn, flat = _measured(with_lists(scene, lists), x)
+    numbers, place, turn = _measured(with_lists(scene, lists), x)
     reports = tuple(_reports(lists, x))
-    reasons = [report.fault for report in reports if report.fault]
-    if reasons and flat:
-        reasons.append("the sheet is so flat that no lists are needed")
+    reasons = tuple(report.fault for report in reports if report.fault)
     gap, interacting = float(numbers[1]), int(numbers[2])
     closest = _corners(contact, lists, int(place)) if interacting else None
-    valid = not reasons or bool(flat)
     return ContactReport(
-        valid, tuple(reasons), float(numbers[0]), interacting, gap, closest, float(turn), reports
+        not reasons, reasons, float(numbers[0]), interacting, gap, closest, float(turn), reports
     )
 
 
 @eqx.filter_jit
-def _measured(scene: Scene, x: Array) -> tuple[tuple[Array, Array, Array], Array, Array, Array]:
-    """Compute energy, smallest gap and number of interacting site pairs; the place of the closest pair; the
-    largest turn left out; and whether the sheet needs no lists."""
+def _measured(scene: Scene, x: Array) -> tuple[tuple[Array, Array, Array], Array, Array]:
+    """Compute energy, smallest gap and number of interacting site pairs; the place of the closest pair; and
+    the largest turn left out."""
     contact, lists = scene.contact, scene.lists
     assert contact is not None and lists is not None
     gap, count, place = closest_sites(contact, lists, x)
-    return (energy(contact, lists, x), gap, count), place, unlisted_turn(scene, x), apart(contact, x, x)
+    return (energy(contact, lists, x), gap, count), place, unlisted_turn(scene, x)
 
 
 def _reports(lists: ContactLists, x: Array):

@@ -17,7 +17,7 @@ from jaxcrumple.contact.active_set import find_active
 from jaxcrumple.contact.adjacency import DUE_TURN, MOST_TURN
 from jaxcrumple.contact.broad_phase import find_candidates
 from jaxcrumple.contact.ccd import crosses
-from jaxcrumple.contact.coverage import APART_AHEAD, apart, covers
+from jaxcrumple.contact.coverage import covers
 from jaxcrumple.contact.lists import (
     CandidatePairs,
     ContactLists,
@@ -206,13 +206,12 @@ def with_active(
 def unlisted_turn(scene: Scene, x: Array) -> Array:
     """Return the largest turn in rad of the ways at nodes that the lists leave out, at positions `x` (n, 3).
 
-    If an upper bound is below `DUE_TURN`, the result is that bound; without contact or lists it is 0.
+    If an upper bound is below `DUE_TURN`, the result is that bound; without contact it is 0.
     """
-    if scene.contact is None or scene.lists is None:
+    if scene.contact is None:
         return jnp.zeros(())
-    return coverage.largest_unlisted_turn(
-        scene.contact, scene.lists.candidates, scene.bending.hinges(x).theta
-    )
+    theta = scene.bending.hinges(x).theta
+    return coverage.largest_unlisted_turn(scene.contact, scene.own_lists.candidates, theta)
 
 
 def largest_move(
@@ -236,8 +235,7 @@ def ready_for(
     """Check whether the lists cover the next step; if not, request what must precede it.
 
     This is a rebuild of one or both lists, or, if pairs lack entries in the matrix, work of the host: the
-    state is then `stale` and waits. All decisions depend on the state alone. Where `apart` proves that the
-    sheet has no contact, empty lists suffice.
+    state is then `stale` and waits. All decisions depend on the state alone.
 
     **Arguments:** `ahead` (n, 3): predicted positions in m after the step; `differs`: bound on their error in
     m.
@@ -280,13 +278,8 @@ def _status(
     `ListStatus`; `loose`: whether the skin of the site pairs is much larger than needed."""
     contact, listing, lists = scene.contact, state.listing, schedule.lists
     assert contact is not None and listing is not None
-    flat = jax.lax.cond(
-        lists.pairs.triangle_count == 0,
-        lambda: apart(contact, state.x, ahead, APART_AHEAD),
-        lambda: jnp.asarray(False),
-    )
     blunt = unlisted_turn(listed(scene, schedule), state.x) < DUE_TURN
-    candidates_cover = (listing.candidates.covers(ahead, margin) | flat) & blunt
+    candidates_cover = listing.candidates.covers(ahead, margin) & blunt
     # Compare with the first capacities. The current ones grow during a run, and a resumed run would decide
     # differently.
     first = jnp.asarray(first_capacity(scene.n_nodes))
@@ -296,8 +289,8 @@ def _status(
     reasons = {
         ListStatus.REBUILD_LISTED: ~_made(schedule),
         ListStatus.REBUILD_CANDIDATES: ~candidates_cover,
-        ListStatus.STEP_TOO_LONG: ~flat & crowded,
-        ListStatus.REBUILD_PAIRS: ~flat & ~pairs_cover,
+        ListStatus.STEP_TOO_LONG: crowded,
+        ListStatus.REBUILD_PAIRS: ~pairs_cover,
         ListStatus.WAIT_MATRIX: ~_have_entries(scene, schedule),
     }
     return jnp.select(list(reasons.values()), [status.array for status in reasons], ListStatus.READY.array)
@@ -380,8 +373,8 @@ def passes(scene: Scene, state: State, x: Array, t: Array, turn: Array) -> Array
     through = jnp.asarray(False)
     for wall in scene.walls:
         through = through | _comes_through(wall, state, wall.gap(x, t) < 0)
-    contact, lists = scene.contact, scene.lists
+    contact = scene.contact
     if contact is None:
         return through
-    left = ~covers(contact, lists, x, state.x) | (turn > MOST_TURN)
-    return through | left if lists is None else through | left | crosses(contact, lists, state.x, x)
+    lists = scene.own_lists
+    return through | ~covers(lists, x) | (turn > MOST_TURN) | crosses(contact, lists, state.x, x)

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxcrumple.contact.coverage import covers
 from jaxcrumple.contact.energy import nearer_product
 from jaxcrumple.scene import Scene
 from jaxcrumple.state import Limit
@@ -67,12 +66,7 @@ def _alone(scene: Scene) -> Scene:
 
 def _contact_product(scene: Scene, x: Array) -> Callable[[Array], Array] | None:
     """Return the product with the tangent of contact, as `nearer_product` does; None without contact."""
-    if scene.contact is None:
-        return None
-    if scene.lists is not None:
-        return nearer_product(scene.contact, scene.lists, x)
-    holds = covers(scene.contact, None, x)
-    return lambda u: jnp.where(holds, jnp.zeros_like(u), jnp.nan)
+    return None if scene.contact is None else nearer_product(scene.contact, scene.own_lists, x)
 
 
 def wall_stiffness(scene: Scene, x: Array, t: ArrayLike) -> Array:
