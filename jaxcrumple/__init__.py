@@ -16,9 +16,10 @@ from jaxcrumple.mesh.generate import disc, hexagonal, rectangle
 from jaxcrumple.mesh.isotropy import Stiffness, patch_test
 from jaxcrumple.mesh.mesh import Mesh, MeshError
 from jaxcrumple.mesh.remesh import remeshed
-from jaxcrumple.model.loads import ElementEnergy, Gravity, LinearMotion, Prescribed
+from jaxcrumple.model.loads import AbstractMotion, ElementEnergy, Gravity, LinearMotion, Prescribed
 from jaxcrumple.model.plasticity import AbstractFlowRule, SmoothstepFlow
 from jaxcrumple.model.walls import (
+    AbstractShape,
     Ball,
     Cone,
     Cylinder,
@@ -59,6 +60,7 @@ from jaxcrumple.simulate import SimulationError, Solution, frame_times, simulate
 from jaxcrumple.solvers.contact.reallocate import with_contacts
 from jaxcrumple.solvers.contact.report import contact_report
 from jaxcrumple.solvers.integrate import integrate
+from jaxcrumple.solvers.linear.base import AbstractLinearSolver
 from jaxcrumple.solvers.linear.solve import linear_solve
 from jaxcrumple.solvers.relax import relax
 from jaxcrumple.solvers.scheme import Integrator, integrator
@@ -71,6 +73,9 @@ __all__ = [
     "PRESETS",
     "RESULTS",
     "AbstractFlowRule",
+    "AbstractLinearSolver",
+    "AbstractMotion",
+    "AbstractShape",
     "Ball",
     "CheckpointError",
     "Cone",

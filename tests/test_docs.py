@@ -1,0 +1,30 @@
+"""Every piece of code in the documentation runs, and prints what stands below it."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+PAGES = sorted((Path(__file__).parents[1] / "docs").glob("*.md"))
+BLOCK = re.compile(r"```python\n(?P<code>.*?)```(?:\n\n```text\n(?P<output>.*?)```)?", re.DOTALL)
+NUMBER = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
+
+
+def test_there_are_pages():
+    assert {"contact.md", "extending.md"} <= {page.name for page in PAGES}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_page_runs_from_top_to_bottom(page, capsys):
+    names = {"__name__": page.stem}
+    blocks = list(BLOCK.finditer(page.read_text()))
+    assert blocks
+    for block in blocks:
+        exec(compile(block["code"], page.name, "exec"), names)
+        printed = capsys.readouterr().out
+        if block["output"] is not None:
+            assert NUMBER.sub("#", printed) == NUMBER.sub("#", block["output"])
+            found, shown = (list(map(float, NUMBER.findall(text))) for text in (printed, block["output"]))
+            assert found == pytest.approx(shown, rel=1e-3)
+        else:
+            assert "False" not in printed
