@@ -86,3 +86,11 @@ def test_a_wrong_import_is_found(tmp_path):
         "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import jaxcrumple.scene\n"
     )
     assert imports(package) == {"jaxcrumple.scene": {"jaxcrumple.state"}, "jaxcrumple.state": set()}
+
+
+def test_every_room_has_its_tests():
+    """In a folder of its name; what concerns all rooms stands above."""
+    rooms = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
+    tests = {path.parent.name for path in Path(__file__).parent.glob("*/test_*.py")}
+    # The tangent's structure is tested by what is solved with it.
+    assert rooms - tests == {"assembly"} and not tests - rooms

@@ -5,9 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from lattice import constants, elastic, lattice, strip_scene, with_terms
-from test_dynamics import total_energy
-from test_waves import patch
+from lattice import constants, elastic, lattice, patch, strip_scene, total_energy, with_terms
 
 import jaxcrumple as jc
 from jaxcrumple.model.walls import Plane, Wall

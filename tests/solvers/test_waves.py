@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from lattice import CELL, SPACING, constants, elastic, lattice
+from lattice import CELL, SPACING, constants, elastic, patch
 from scipy.sparse.linalg import eigsh
 
 from jaxcrumple.mesh.generate import rectangle
@@ -27,13 +27,6 @@ WAVES = [*RNG.uniform(-np.pi, np.pi, (4, 2)), np.array([0.0, 2 * np.pi / np.sqrt
 
 
 @functools.cache
-def patch():
-    """Mesh, scene and stiffness matrix of a flat patch."""
-    mesh = lattice(9, 8)
-    scene = sheet(mesh, elastic())
-    return mesh, scene, tangent(scene, initial_state(scene, mesh.vertices))
-
-
 def interior(mesh, layers):
     """Nodes at least `layers` bonds away from the boundary."""
     inside = np.ones(mesh.n_nodes, bool)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from folded import folded, strip
-from test_lists import moving_layers
+from pressed import moving_layers
 
 import jaxcrumple as jc
 from jaxcrumple.contact.adjacency import DUE_TURN, LISTED_TURN

@@ -11,7 +11,8 @@ from jaxcrumple.scene import sheet
 from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.scheme import integrator
 from jaxcrumple.solvers.switch import Switch
-from jaxcrumple.state import RESULTS
+from jaxcrumple.state import RESULTS, initial_state
+from jaxcrumple.system import energies, tangent
 
 SPACING = 1e-3
 ROW = np.sqrt(3) / 2 * SPACING
@@ -83,3 +84,15 @@ def advance(scene, state, t_stop, solver, calls=20):
 def angle_rotation(angle):
     """Rotation of the plane by `angle`, (2, 2)."""
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def total_energy(scene, state):
+    """Sum of all energies in J."""
+    return float(sum(energies(scene, state.x, state.v, state.p, state.t)))
+
+
+def patch():
+    """Mesh, scene and stiffness matrix of a flat patch."""
+    mesh = lattice(9, 8)
+    scene = sheet(mesh, elastic())
+    return mesh, scene, tangent(scene, initial_state(scene, mesh.vertices))

@@ -6,7 +6,19 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from lattice import SPACING, advance, constants, elastic, held, lattice, run, solver, strip_scene, with_terms
+from lattice import (
+    SPACING,
+    advance,
+    constants,
+    elastic,
+    held,
+    lattice,
+    run,
+    solver,
+    strip_scene,
+    total_energy,
+    with_terms,
+)
 
 import jaxcrumple as jc
 from jaxcrumple.model.loads import ElementEnergy
@@ -14,7 +26,7 @@ from jaxcrumple.scene import sheet
 from jaxcrumple.simulate import simulate
 from jaxcrumple.solvers.scheme import integrator
 from jaxcrumple.state import EXPLICIT, IMPLICIT, QUASISTATIC, initial_state
-from jaxcrumple.system import energies, tangent
+from jaxcrumple.system import tangent
 
 strip = functools.cache(strip_scene)
 STAGE = {"explicit": EXPLICIT, "dynamic": IMPLICIT, "quasistatic": QUASISTATIC, "paper": QUASISTATIC}
@@ -22,10 +34,6 @@ STAGE = {"explicit": EXPLICIT, "dynamic": IMPLICIT, "quasistatic": QUASISTATIC, 
 
 def explicit(rtol, max_step=np.inf):
     return solver(rtol, "explicit", max_step=max_step)
-
-
-def total_energy(scene, state):
-    return float(sum(energies(scene, state.x, state.v, state.p, state.t)))
 
 
 @functools.cache
