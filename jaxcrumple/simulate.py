@@ -21,10 +21,11 @@ from jaxcrumple.replay.record import Record, StepRecorder
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.contact.reallocate import Reallocation
 from jaxcrumple.solvers.integrate import integrate
-from jaxcrumple.solvers.log import AFTER, BEFORE, ENERGIES, EVENT_COLUMNS, Log, Row
+from jaxcrumple.solvers.log import Log, Row
 from jaxcrumple.solvers.scheme import Integrator, checked_solver, integrator
 from jaxcrumple.solvers.start import check_gap, check_start, pierced
-from jaxcrumple.state import CAUSES, EXPLICIT, IMPLICIT, QUASISTATIC, RESULTS, STAGES, State, check_state
+from jaxcrumple.solvers.tables import events_table, history_table, joined
+from jaxcrumple.state import CAUSES, EXPLICIT, IMPLICIT, QUASISTATIC, RESULTS, State, check_state
 
 # Shortest time in s between reports to observers; calls of `integrate` may be shorter.
 CHUNK = 1.0
@@ -310,45 +311,6 @@ def _tell(watchers, state: State, rows: np.ndarray, frames: int) -> None:
         watcher.chunk(state, history, events, frames)
 
 
-def history_table(rows: np.ndarray) -> pd.DataFrame:
-    """Return the rows of a `Log` as a table with the columns of `Row`, and names of stages."""
-    table = pd.DataFrame(rows, columns=list(Row._fields))
-    counts = (
-        "kind",
-        "order",
-        *(name for name in Row._fields if name.endswith(("_steps", "_iterations", "factors"))),
-    )
-    table = table.astype(dict.fromkeys(counts, int))
-    table["stage"] = [STAGES[int(stage)] for stage in table["stage"]]
-    return table
-
-
-def events_table(rows: np.ndarray) -> pd.DataFrame:
-    """Return the changes of stage among the rows of a `Log`, with energies in J before and after."""
-    events = []
-    before: Row | None = None
-    for values in rows:
-        row = Row(*values)
-        if row.kind == BEFORE:
-            before = row
-        elif row.kind == AFTER and before is not None:
-            events.append(_event(before, row))
-    return pd.DataFrame(events, columns=list(EVENT_COLUMNS))
-
-
-def _event(before: Row, after: Row) -> dict:
-    event = {
-        "t": before.t,
-        "origin": STAGES[int(before.stage)],
-        "to": STAGES[int(after.stage)],
-        "acceleration_mean": before.acceleration_mean,
-        "h": after.h,
-    }
-    for side, row in (("before", before), ("after", after)):
-        event |= {f"{name}_{side}": getattr(row, name) for name in ENERGIES}
-    return event
-
-
 def _name(state: State) -> str:
     """Return the name of the state's result."""
     for name in RESULT_NAMES:
@@ -368,16 +330,11 @@ def _solution(state: State, kept: _Kept, compile_s: float, run_s: float) -> Solu
         x=np.array(kept.x).reshape(-1, *shape),
         v=np.array(kept.v).reshape(-1, *shape),
         p=None if state.p is None else np.array(kept.p).reshape(-1, state.p.shape[0]),
-        history=_joined(kept.history, history_table(_NO_ROWS)),
-        events=_joined(kept.events, events_table(_NO_ROWS)),
+        history=joined(kept.history, history_table(_NO_ROWS)),
+        events=joined(kept.events, events_table(_NO_ROWS)),
         compile_s=compile_s,
         run_s=run_s,
     )
-
-
-def _joined(tables: list[pd.DataFrame], empty: pd.DataFrame) -> pd.DataFrame:
-    filled = [table for table in tables if len(table)]
-    return pd.concat(filled, ignore_index=True) if filled else empty
 
 
 def explain(before: State, after: State) -> str:

@@ -35,7 +35,6 @@ from jaxcrumple.io.atomic import (
     refusal,
     temporary,
     to_json,
-    write_bytes,
 )
 from jaxcrumple.io.checkpoint import pack_checkpoint
 from jaxcrumple.io.frames import Frame, Stiffness, pack_frame, pack_mesh, unpack_frame, unpack_mesh
@@ -50,6 +49,7 @@ from jaxcrumple.io.manifest import (
     unsealed,
     write_manifest,
 )
+from jaxcrumple.io.parts import checked, cure, write_part
 from jaxcrumple.io.table import TableFile
 from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.solvers.log import ENERGIES, EVENT_COLUMNS, Row
@@ -123,7 +123,7 @@ class RunDirectory:
         """Start a run as `create` does, in a folder without run files; other files are allowed."""
         contents = json.loads(to_json({"config": config, "built": built or {}}))
         begun = {RUN: sealed(contents, FORMAT, VERSION), MESH: pack_mesh(mesh, stiffness)}
-        entries = {name: _write(path / name, data) for name, data in begun.items()}
+        entries = {name: write_part(path / name, data) for name, data in begun.items()}
         folder = cls(path, contents, Manifest(entries))
         write_manifest(path, folder.manifest)
         folder.cut()
@@ -258,7 +258,7 @@ class RunDirectory:
         index = self._frames.count
         rest = None if p is None else np.asarray(p)
         data = pack_frame(Frame(float(t), np.asarray(x), np.asarray(v), rest))
-        entry = _write(self.path / frame_name(index), data)
+        entry = write_part(self.path / frame_name(index), data)
         self._frames.append([[index, float(t), *entry]])
 
     def append_history(self, rows: ArrayLike) -> None:
@@ -285,7 +285,7 @@ class RunDirectory:
             checkpoint=None,
         )
         held = {**metadata, "manifest": outside.plain(), "run": self.contents}
-        entry = _write(self.path / name, pack_checkpoint(state, held))
+        entry = write_part(self.path / name, pack_checkpoint(state, held))
         passed = [other for other in LATEST if other != name]
         self._set(replace(manifest.without(*passed), checkpoint=name).with_files({name: entry}))
         for other in passed:
@@ -293,7 +293,7 @@ class RunDirectory:
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write the summary; make it and the film, if one exists, part of the run."""
-        entry = _write(self.path / SUMMARY, json_bytes(summary))
+        entry = write_part(self.path / SUMMARY, json_bytes(summary))
         self._set(self.manifest.with_files({SUMMARY: entry, **self._film()}))
         discard(self.path / PARTIAL)
 
@@ -376,37 +376,6 @@ def read_contents(path: Path, data: bytes) -> dict[str, Any]:
         return unsealed(data, FORMAT, VERSION)
     except ValueError as error:
         raise RunDirectoryError(f"{str(path / RUN)!r} cannot be read: {error}") from error
-
-
-def checked(folder: Path, name: str, entry: Entry | None) -> bytes:
-    """Read a file and verify it. **Raises:** `RunDirectoryError` if it does not match its manifest entry."""
-    path = folder / name
-    if entry is None:
-        raise RunDirectoryError(f"{str(path)!r} is not part of the run: the run has not saved it yet")
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError as error:
-        raise RunDirectoryError(f"{str(path)!r} does not exist, but the run wrote it") from error
-    except OSError as error:
-        raise RunDirectoryError(f"{str(path)!r} cannot be read: {error.strerror}") from error
-    if entry_of(data) != entry:
-        raise RunDirectoryError(f"{str(path)!r} is damaged: its checksum does not match")
-    return data
-
-
-def cure(path: Path) -> str:
-    """Return the instruction to repair a damaged folder."""
-    return f"restore it from a copy, or return to the last undamaged checkpoint: jaxcrumple repair {path}"
-
-
-def _write(path: Path, data: bytes) -> Entry:
-    """Write a file, create its folder if missing, and return its manifest entry."""
-    try:
-        path.parent.mkdir(exist_ok=True)
-    except OSError as error:
-        raise refusal(path, error) from error
-    write_bytes(path, data)
-    return entry_of(data)
 
 
 def _entry(column: str, value: Any) -> float | int | str:

@@ -18,6 +18,7 @@ from jaxcrumple.io.manifest import (
     sealed,
     write_manifest,
 )
+from jaxcrumple.io.parts import checked, cure
 from jaxcrumple.io.rundir import (
     CHECKPOINTS,
     FILM,
@@ -28,8 +29,6 @@ from jaxcrumple.io.rundir import (
     SUMMARY,
     VERSION,
     RunDirectory,
-    checked,
-    cure,
     frame_name,
     is_run,
 )

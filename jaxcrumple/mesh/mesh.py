@@ -20,6 +20,7 @@ from scipy.sparse.csgraph import connected_components
 from jaxcrumple.mesh.files import MeshError
 from jaxcrumple.mesh.files.sheet import read_sheet
 from jaxcrumple.mesh.files.write import FILE_FORMATS, write_triangles
+from jaxcrumple.mesh.hilbert import hilbert_order
 
 __all__ = ["FILE_FORMATS", "FloatArray", "IntArray", "Mesh", "MeshError"]
 
@@ -27,7 +28,6 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int32]
 
 _MIN_HEIGHT = 1e-6  # smallest height of a triangle, in units of its longest edge
-_HILBERT_BITS = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ class Mesh:
         f = _oriented(_checked_topology(f))
         order = np.unique(f)
         if reorder:
-            order = order[_hilbert_order(x[order])]
+            order = order[hilbert_order(x[order])]
         number = np.zeros(len(x), np.int64)
         number[order] = np.arange(len(order))
         f = number[f]
@@ -375,35 +375,3 @@ def _connectivity(faces: IntArray) -> dict[str, NDArray]:
     pairs = np.stack([one, two], axis=1) // 3
     tables = {"faces": faces, "edges": edges, "hinges": hinges, "hinge_edges": inner, "hinge_faces": pairs}
     return {name: table.astype(np.int32) for name, table in tables.items()}
-
-
-# Numbering
-
-
-def _hilbert_order(x: FloatArray) -> NDArray:
-    """Return the order of the nodes along a Hilbert curve in their best-fit plane.
-
-    The first axis in the plane is a projected coordinate axis: the principal axes of a square depend on
-    rounding.
-    """
-    centred = x - x.mean(axis=0)
-    normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
-    normal *= np.sign(normal[np.argmax(np.abs(normal))])
-    first = np.eye(3)[np.argmin(np.abs(normal).round(6))]
-    first = first - normal * (first @ normal)
-    plane = centred @ np.stack([first, np.cross(normal, first)], axis=1)
-    cells = (plane - plane.min(axis=0)) / np.ptp(plane, axis=0).max() * (2**_HILBERT_BITS - 1)
-    return np.argsort(_hilbert_index(np.rint(cells).astype(np.int64), _HILBERT_BITS), kind="stable")
-
-
-def _hilbert_index(cells: NDArray[np.int64], bits: int) -> NDArray[np.int64]:
-    """Index of integer cells (n, 2) in [0, 2^bits) along the Hilbert curve, one quadrant per bit."""
-    x, y = cells.T
-    index = np.zeros(len(cells), dtype=np.int64)
-    for bit in reversed(range(bits)):
-        right, up = (x >> bit) & 1, (y >> bit) & 1
-        index = 4 * index + ((3 * right) ^ up)
-        flip = (up == 0) & (right == 1)
-        x, y = np.where(flip, 2**bits - 1 - x, x), np.where(flip, 2**bits - 1 - y, y)
-        x, y = np.where(up == 0, y, x), np.where(up == 0, x, y)
-    return index

@@ -6,7 +6,8 @@ import pandas as pd
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from jaxcrumple.simulate import ENERGIES, explain
+from jaxcrumple.simulate import explain
+from jaxcrumple.solvers.log import ENERGIES
 from jaxcrumple.state import STAGES, State
 
 # Seconds between lines if the output is not a terminal.

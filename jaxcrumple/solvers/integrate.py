@@ -1,6 +1,6 @@
 """`integrate`: run the stages of a scheme, and the changes between them, as one traced function."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -34,11 +34,12 @@ from jaxcrumple.solvers.implicit.bdf import push
 from jaxcrumple.solvers.implicit.newton import must_restore
 from jaxcrumple.solvers.linear.base import Factor
 from jaxcrumple.solvers.log import STEP, Log, append, empty_log, follow
+from jaxcrumple.solvers.outcome import counted, given_up, is_tiny, with_result
 from jaxcrumple.solvers.scheme import Integrator, checked_solver
 from jaxcrumple.solvers.stages import Handover, after_explicit, after_implicit, handed_over, row, stay
 from jaxcrumple.solvers.switch import observe
 from jaxcrumple.solvers.work import booked
-from jaxcrumple.state import CAUSES, EXPLICIT, RESULTS, Counters, State, check_state
+from jaxcrumple.state import EXPLICIT, RESULTS, State, check_state
 
 # A call ends after BUDGET cost units, so that its caller can save and report.
 BUDGET = 4096
@@ -52,8 +53,6 @@ LIMIT_EVERY = 64
 LOOK_AHEAD = 16
 # A call ends after this many consecutive rounds of list rebuilds and stage changes without a step.
 MOST_ROUNDS = 64
-# Smallest step relative to the time: rounding removes shorter ones.
-SMALLEST_STEP = 1e-13
 
 
 class _Carry(NamedTuple):
@@ -138,7 +137,7 @@ def _renewed(scene: Scene, carry: _Carry, solver: Integrator) -> _Carry:
     measured = state.monitor.measured | due
     state = eqx.tree_at(lambda s: (s.limit, s.monitor.measured), state, (limit, measured))
     unsound = ~_is_sound(scene, state) & ~waiting
-    state = _with_result(state, unsound, RESULTS.nonfinite)
+    state = with_result(state, unsound, RESULTS.nonfinite)
     return carry._replace(state=state, schedule=schedule)
 
 
@@ -253,7 +252,7 @@ def _implicit_attempt(
     held = tried.accepted & ((h < wanted) | aligning)
     suggested = jnp.where(held, jnp.maximum(suggested, state.h), suggested)
     suggested = jnp.where(jnp.isfinite(suggested), suggested, 0.1 * h)
-    counters = _count(
+    counters = counted(
         state.counters, state.stage, tried.accepted, tried.cause, tried.newton, tried.linear, tried.factors
     )
     moved = eqx.tree_at(
@@ -264,8 +263,8 @@ def _implicit_attempt(
     log = append(carry.log, row(scene, moved, STEP, h, tried.order, tried.error), tried.accepted)
     log = follow(log, moved.x, moved.t, h, state.stage, tried.order, tried.accepted)
     handover = after_implicit(scene, moved, tried.accepted, tried.cause, solver, bounded)
-    hopeless = ~tried.accepted & (handover.stage != EXPLICIT) & _is_tiny(moved.h, moved.t)
-    moved = _given_up(moved, hopeless, tried.cause)
+    hopeless = ~tried.accepted & (handover.stage != EXPLICIT) & is_tiny(moved.h, moved.t)
+    moved = given_up(moved, hopeless, tried.cause)
     carry = carry._replace(factor=tried.factor, held=jnp.ones_like(carry.held))
     after = _tried(carry, moved, log, handover, IMPLICIT_COST, tried.accepted, lands)
     restored = carry._replace(schedule=rescheduled(state, carry.schedule))
@@ -301,35 +300,6 @@ def _with_work(scene: Scene, before: State, after: State, h: Array) -> State:
     if before.work is None:
         return after
     return eqx.tree_at(lambda s: s.work, after, booked(scene, before, after, h))
-
-
-def _count(counters: Counters, stage, accepted, cause, newton=0, linear=0, factors=0) -> Counters:
-    accepted = jnp.asarray(accepted, int)
-    return Counters(
-        counters.steps.at[stage].add(accepted),
-        counters.rejected.at[jnp.maximum(cause, 0)].add(1 - accepted),
-        counters.newton + newton,
-        counters.linear + linear,
-        counters.factors + factors,
-        counters.switches,
-    )
-
-
-def _is_tiny(h: Array, t: Array) -> Array:
-    """Return whether a step of `h` s is so short that rounding removes it."""
-    return h < SMALLEST_STEP * jnp.maximum(t, 1.0)
-
-
-def _given_up(state: State, lost: Array, cause: Array) -> State:
-    """Set the result of a run that is `lost`: no step succeeds, and the last one failed for `cause`."""
-    state = _with_result(state, lost, RESULTS.collapsed)
-    for name, result in (("contact", RESULTS.blocked), ("nonfinite", RESULTS.nonfinite)):
-        state = _with_result(state, lost & (cause == CAUSES.index(name)), result)
-    return state
-
-
-def _with_result(state: State, failed: Array, result: Any) -> State:
-    return eqx.tree_at(lambda s: s.result, state, RESULTS.where(failed, result, state.result))
 
 
 def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
@@ -398,9 +368,9 @@ def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, w
     moved = select(tried.accepted, _with_work(scene, state, moved, h), state)
     next_h = jnp.where(tried.accepted & (h < wanted), jnp.maximum(tried.next_h, wanted), tried.next_h)
     moved = eqx.tree_at(lambda s: s.h_explicit, moved, next_h)
-    counters = _count(state.counters, EXPLICIT, tried.accepted, tried.cause)
+    counters = counted(state.counters, EXPLICIT, tried.accepted, tried.cause)
     moved = eqx.tree_at(lambda s: s.counters, moved, counters)
-    moved = _given_up(moved, ~tried.accepted & _is_tiny(next_h, state.t), tried.cause)
+    moved = given_up(moved, ~tried.accepted & is_tiny(next_h, state.t), tried.cause)
     sampled = tried.accepted & (counters.steps[EXPLICIT] % EXPLICIT_LOG_EVERY == 0)
     log = jax.lax.cond(
         sampled, lambda: append(carry.log, row(scene, moved, STEP, h, order, tried.error)), lambda: carry.log

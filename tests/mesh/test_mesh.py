@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from jaxcrumple.mesh.generate import hexagonal, rectangle
-from jaxcrumple.mesh.mesh import FILE_FORMATS, Mesh, MeshError, _hilbert_index
+from jaxcrumple.mesh.hilbert import hilbert_index
+from jaxcrumple.mesh.mesh import FILE_FORMATS, Mesh, MeshError
 
 SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
 TWO = np.array([[0, 1, 2], [0, 2, 3]])
@@ -281,7 +282,7 @@ def test_a_node_may_lie_on_a_full_fan_and_on_a_closed_one():
 
 def test_hilbert_curve_visits_each_cell_once_and_steps_to_a_neighbour():
     cells = np.argwhere(np.ones((16, 16), bool))
-    index = _hilbert_index(cells, 4)
+    index = hilbert_index(cells, 4)
     assert sorted(index) == list(range(256))
     steps = np.abs(np.diff(cells[np.argsort(index)], axis=0)).sum(axis=1)
     assert (steps == 1).all()

@@ -6,7 +6,7 @@ import pytest
 
 import jaxcrumple as jc
 from jaxcrumple.scenes import SCENES
-from jaxcrumple.simulate import ENERGIES
+from jaxcrumple.solvers.log import ENERGIES
 from jaxcrumple.state import Work
 
 pytestmark = pytest.mark.slow

@@ -16,10 +16,10 @@ from jaxcrumple.io import load_checkpoint, save_checkpoint
 from jaxcrumple.material.material import Material
 from jaxcrumple.scene import sheet
 from jaxcrumple.scenes import radial
-from jaxcrumple.simulate import ENERGIES, SimulationError, frame_times, simulate
+from jaxcrumple.simulate import SimulationError, frame_times, simulate
 from jaxcrumple.solvers.integrate import BUDGET, EXPLICIT_COST, IMPLICIT_COST, LIMIT_EVERY, integrate
 from jaxcrumple.solvers.linear.registry import direct_available
-from jaxcrumple.solvers.log import empty_log
+from jaxcrumple.solvers.log import ENERGIES, empty_log
 from jaxcrumple.solvers.scheme import SCHEMES, integrator
 from jaxcrumple.solvers.stages import Handover, after_explicit, handed_over
 from jaxcrumple.solvers.switch import Switch

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 import jaxcrumple as jc
 from jaxcrumple.model.loads import ElementEnergy
-from jaxcrumple.simulate import ENERGIES
+from jaxcrumple.solvers.log import ENERGIES
 
 SIGMA, SPEED, START = 0.5e-3, 1.0, 1.2 * 0.5e-3
 # Speed in m/s at which layers meet that fall from rest.

@@ -6,7 +6,7 @@ import pytest
 from lattice import held
 
 import jaxcrumple as jc
-from jaxcrumple.simulate import ENERGIES
+from jaxcrumple.solvers.log import ENERGIES
 from jaxcrumple.state import Work
 
 
