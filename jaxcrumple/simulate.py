@@ -21,7 +21,7 @@ from jaxcrumple.replay.record import Record, StepRecorder
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.contact.reallocate import Reallocation
 from jaxcrumple.solvers.integrate import integrate
-from jaxcrumple.solvers.log import Log, Row
+from jaxcrumple.solvers.log import COLUMNS, Log
 from jaxcrumple.solvers.scheme import Integrator, checked_solver, integrator
 from jaxcrumple.solvers.start import check_gap, check_start, pierced
 from jaxcrumple.solvers.tables import events_table, history_table, joined
@@ -302,7 +302,7 @@ def _advance(
     return scene, state
 
 
-_NO_ROWS = np.zeros((0, len(Row._fields)))
+_NO_ROWS = np.zeros((0, len(COLUMNS)))
 
 
 def _tell(watchers, state: State, rows: np.ndarray, frames: int) -> None:

@@ -24,7 +24,7 @@ class Energies(NamedTuple):
     stretch: Array
     bending: Array
     contact: Array
-    confinement: Array
+    walls: Array
     gravity: Array
     extra: Array
     kinetic: Array
@@ -44,7 +44,7 @@ def energies(scene: Scene, x: ArrayLike, v: ArrayLike, p: ArrayLike | None, t: A
         stretch=scene.membrane.energy(x),
         bending=scene.bending.energy(x, scene.rest_curvature_of(p)),
         contact=zero if scene.contact is None else contact_energy.energy(scene.contact, scene.own_lists, x),
-        confinement=sum((w.energy(x, t) for w in scene.walls), zero),
+        walls=sum((w.energy(x, t) for w in scene.walls), zero),
         gravity=zero if scene.gravity is None else scene.gravity.energy(x),
         extra=sum((e.energy(x, t) for e in scene.extra), zero),
         kinetic=0.5 * jnp.sum(scene.mass[:, None] * v * v),

@@ -33,7 +33,7 @@ class Run:
     mesh: Mesh
     config: dict[str, Any]  # settings of the run
     summary: dict[str, Any]  # final result; empty if the run is in progress or was killed
-    history: pd.DataFrame  # one row per logged step, columns of `jaxcrumple.solvers.log.Row`
+    history: pd.DataFrame  # one row per logged step, columns `jaxcrumple.solvers.log.COLUMNS`
     events: pd.DataFrame  # changes of stage
 
     def __repr__(self) -> str:

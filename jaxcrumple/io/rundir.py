@@ -52,7 +52,7 @@ from jaxcrumple.io.manifest import (
 from jaxcrumple.io.parts import checked, cure, write_part
 from jaxcrumple.io.table import TableFile
 from jaxcrumple.mesh.mesh import Mesh
-from jaxcrumple.solvers.log import ENERGIES, EVENT_COLUMNS, Row
+from jaxcrumple.solvers.log import COLUMNS, ENERGIES, EVENT_COLUMNS
 from jaxcrumple.state import STAGES, Work
 
 FORMAT, VERSION = "jaxcrumple-run", 2
@@ -66,7 +66,7 @@ FRAME_COLUMNS = ("index", "t", "size", "sha256")
 _NUMBERS = {"t", "h", "acceleration", "acceleration_mean", "error", *ENERGIES}
 _WORK = {f"work_{name}" for name in Work._fields}
 #: Integer columns of the history, written without a decimal point.
-INTEGERS = frozenset(Row._fields) - _NUMBERS - _WORK - {"stage"}
+INTEGERS = frozenset(COLUMNS) - _NUMBERS - _WORK - {"stage"}
 
 
 class Counts(NamedTuple):
@@ -83,7 +83,7 @@ class RunDirectory:
     def __init__(self, path: Path, contents: Mapping[str, Any], manifest: Manifest) -> None:
         self.path, self.contents, self.manifest = path, contents, manifest
         columns = {
-            "history.csv": tuple(Row._fields),
+            "history.csv": COLUMNS,
             "events.csv": EVENT_COLUMNS,
             "frames.csv": FRAME_COLUMNS,
         }

@@ -40,7 +40,7 @@ ENERGY_COLORS = {
     "stretch": "#1f6fb4",
     "bending": "#d9541e",
     "contact": "#c2a500",
-    "confinement": "#5b8c3a",
+    "walls": "#5b8c3a",
     "gravity": "#8c564b",
     "extra": "#7f5ab0",
     "kinetic": "#777777",

@@ -2,12 +2,16 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxcrumple.state import Work
+from jaxcrumple.system import Energies
+
 # Kinds of rows: an accepted step, the last state of a stage, the first state of the next.
 STEP, BEFORE, AFTER = 0, 1, 2
-ENERGIES = ("stretch", "bending", "contact", "confinement", "gravity", "extra", "kinetic")
+ENERGIES = Energies._fields
 # Columns of `events.csv`: a change of stage, with energies in J before and after it.
 EVENT_COLUMNS = (
     "t", "origin", "to", "acceleration_mean", "h",
@@ -18,7 +22,7 @@ EVENT_COLUMNS = (
 class Row(NamedTuple):
     """Hold one line of `history.csv`: energies and work in J, times in s.
 
-    Counts and work are totals since the start of the run."""
+    Counts and work are totals since the start of the run. The columns are `COLUMNS`."""
 
     kind: Array | int
     t: Array
@@ -26,13 +30,7 @@ class Row(NamedTuple):
     h: Array
     acceleration: Array
     acceleration_mean: Array
-    stretch: Array
-    bending: Array
-    contact: Array
-    confinement: Array
-    gravity: Array
-    extra: Array
-    kinetic: Array
+    energies: Energies
     order: Array | int
     error: Array | float
     newton_iterations: Array
@@ -42,12 +40,12 @@ class Row(NamedTuple):
     implicit_steps: Array
     explicit_steps: Array
     rejected_steps: Array
-    work_walls: Array
-    work_supports: Array
-    work_drag: Array
-    work_damping: Array
-    work_plastic: Array
-    work_numerical: Array
+    work: Work
+
+
+_NESTED = {"energies": ENERGIES, "work": tuple(f"work_{name}" for name in Work._fields)}
+#: Names of the numbers of a `Row`, in order.
+COLUMNS = tuple(column for name in Row._fields for column in _NESTED.get(name, (name,)))
 
 
 class Trail(NamedTuple):
@@ -89,12 +87,12 @@ def empty_log(capacity: int, nodes: int = 0, steps: int = 0) -> Log:
     if steps:
         none, number = jnp.zeros(steps, int), jnp.zeros(steps)
         trail = Trail(jnp.zeros((steps, nodes, 3)), number, number, none, none, zero)
-    return Log(jnp.zeros((capacity, len(Row._fields))), zero, trail)
+    return Log(jnp.zeros((capacity, len(COLUMNS))), zero, trail)
 
 
 def append(log: Log, row: Row, wanted: Array | bool = True) -> Log:
     """Append `row` to the log if `wanted`."""
-    values = jnp.stack([jnp.asarray(value, log.rows.dtype) for value in row])
+    values = jnp.stack([jnp.asarray(value, log.rows.dtype) for value in jax.tree.leaves(row)])
     index = jnp.where(wanted, log.length, log.capacity)
     rows = log.rows.at[index].set(values, mode="drop")
     return log._replace(rows=rows, length=log.length + jnp.asarray(wanted, int))

@@ -150,12 +150,23 @@ def _changed(state: State, handover: Handover) -> State:
 
 def row(scene: Scene, state: State, kind: int, h, order, error) -> Row:
     """Return the log row of a state."""
-    parts = energies(scene, state.x, state.v, state.p, state.t)
     monitor, count = state.monitor, state.counters
-    steps = (count.steps[QUASISTATIC], count.steps[IMPLICIT], count.steps[EXPLICIT])
-    work = no_work() if state.work is None else state.work
     return Row(
-        kind, state.t, state.stage, h, monitor.ratios[0], jnp.mean(monitor.ratios), *parts,
-        order, error, count.newton, count.linear, count.factors, *steps, jnp.sum(count.rejected),
-        *work,
-    )  # fmt: skip
+        kind=kind,
+        t=state.t,
+        stage=state.stage,
+        h=h,
+        acceleration=monitor.ratios[0],
+        acceleration_mean=jnp.mean(monitor.ratios),
+        energies=energies(scene, state.x, state.v, state.p, state.t),
+        order=order,
+        error=error,
+        newton_iterations=count.newton,
+        linear_iterations=count.linear,
+        factors=count.factors,
+        quasistatic_steps=count.steps[QUASISTATIC],
+        implicit_steps=count.steps[IMPLICIT],
+        explicit_steps=count.steps[EXPLICIT],
+        rejected_steps=jnp.sum(count.rejected),
+        work=no_work() if state.work is None else state.work,
+    )

@@ -3,19 +3,15 @@
 import numpy as np
 import pandas as pd
 
-from jaxcrumple.solvers.log import AFTER, BEFORE, ENERGIES, EVENT_COLUMNS, Row
+from jaxcrumple.solvers.log import AFTER, BEFORE, COLUMNS, ENERGIES, EVENT_COLUMNS
 from jaxcrumple.state import STAGES
 
 
 def history_table(rows: np.ndarray) -> pd.DataFrame:
-    """Return the rows of a `Log` as a table with the columns of `Row`, and names of stages."""
-    table = pd.DataFrame(rows, columns=list(Row._fields))
-    counts = (
-        "kind",
-        "order",
-        *(name for name in Row._fields if name.endswith(("_steps", "_iterations", "factors"))),
-    )
-    table = table.astype(dict.fromkeys(counts, int))
+    """Return the rows of a `Log` as a table with the columns `COLUMNS`, and names of stages."""
+    table = pd.DataFrame(rows, columns=list(COLUMNS))
+    counts = (name for name in COLUMNS if name.endswith(("_steps", "_iterations", "factors")))
+    table = table.astype(dict.fromkeys(("kind", "order", *counts), int))
     table["stage"] = [STAGES[int(stage)] for stage in table["stage"]]
     return table
 
@@ -23,27 +19,26 @@ def history_table(rows: np.ndarray) -> pd.DataFrame:
 def events_table(rows: np.ndarray) -> pd.DataFrame:
     """Return the changes of stage among the rows of a `Log`, with energies in J before and after."""
     events = []
-    before: Row | None = None
+    before: dict[str, float] = {}
     for values in rows:
-        row = Row(*values)
-        if row.kind == BEFORE:
+        row = dict(zip(COLUMNS, values, strict=True))
+        if row["kind"] == BEFORE:
             before = row
-        elif row.kind == AFTER and before is not None:
+        elif row["kind"] == AFTER and before:
             events.append(_event(before, row))
     return pd.DataFrame(events, columns=list(EVENT_COLUMNS))
 
 
-def _event(before: Row, after: Row) -> dict:
+def _event(before: dict[str, float], after: dict[str, float]) -> dict:
     event = {
-        "t": before.t,
-        "origin": STAGES[int(before.stage)],
-        "to": STAGES[int(after.stage)],
-        "acceleration_mean": before.acceleration_mean,
-        "h": after.h,
+        "t": before["t"],
+        "origin": STAGES[int(before["stage"])],
+        "to": STAGES[int(after["stage"])],
+        "acceleration_mean": before["acceleration_mean"],
+        "h": after["h"],
     }
-    for side, row in (("before", before), ("after", after)):
-        event |= {f"{name}_{side}": getattr(row, name) for name in ENERGIES}
-    return event
+    sides = {"before": before, "after": after}
+    return event | {f"{name}_{side}": row[name] for name in ENERGIES for side, row in sides.items()}
 
 
 def joined(tables: list[pd.DataFrame], empty: pd.DataFrame) -> pd.DataFrame:

@@ -47,7 +47,7 @@ def _power(scene: Scene, before: State, after: State, h: Array, s: Array) -> Wor
 
     def stored(t: Array, p: Array | None) -> Array:
         parts = energies(scene, x, v, p, t)
-        return parts.confinement + parts.extra + parts.bending
+        return parts.walls + parts.extra + parts.bending
 
     _, walls = jax.jvp(lambda t: stored(t, p), (t,), (jnp.ones_like(t),))
     plastic = zero if p is None else jax.jvp(lambda p: stored(t, p), (p,), (flow,))[1]

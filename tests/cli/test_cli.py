@@ -118,8 +118,8 @@ def test_summary_tells_the_run(finished):
     # A residual of zero, at rest before the wall comes, takes no iteration.
     assert summary["linear_iterations"] >= summary["newton_iterations"] - 2
     assert summary["switches"] == 3
-    assert {"stretch", "bending", "confinement", "kinetic"} <= set(energy)
-    assert all(energy[name] > 0 for name in ("stretch", "bending", "confinement"))
+    assert {"stretch", "bending", "walls", "kinetic"} <= set(energy)
+    assert all(energy[name] > 0 for name in ("stretch", "bending", "walls"))
     assert 0 < energy["kinetic"] < 0.1 * energy["bending"]
     assert 0 < summary["rms_edge_strain"] < summary["max_edge_strain"] < 0.01
     # The wall is soft: less than its range of one thickness.

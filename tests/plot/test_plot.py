@@ -12,7 +12,7 @@ from jaxcrumple.io import RunDirectory, RunDirectoryError
 from jaxcrumple.measure import hinge_curvature
 from jaxcrumple.mesh.generate import rectangle
 from jaxcrumple.plot import plot
-from jaxcrumple.solvers.log import AFTER, BEFORE, STEP, Row
+from jaxcrumple.solvers.log import AFTER, BEFORE, COLUMNS, STEP
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def folded(mesh):
 @pytest.fixture(scope="module")
 def history():
     count = 40
-    table = pd.DataFrame(np.zeros((count, len(Row._fields))), columns=list(Row._fields))
+    table = pd.DataFrame(np.zeros((count, len(COLUMNS))), columns=list(COLUMNS))
     table["t"] = np.linspace(0, 1, count)
     table["kind"] = STEP
     table["h"] = np.geomspace(1e-6, 1e-2, count)

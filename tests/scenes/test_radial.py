@@ -41,7 +41,7 @@ def test_crumple_uses_both_stages_and_stays_sound():
     solution = run(setup, frame_times(2.6, 4), 1e-4, "alternating")
     directions = set(zip(solution.events["origin"], solution.events["to"], strict=True))
     assert directions >= {("quasistatic", "implicit"), ("implicit", "quasistatic")}
-    for name in ("stretch", "bending", "confinement"):
+    for name in ("stretch", "bending", "walls"):
         np.testing.assert_array_equal(solution.events[f"{name}_before"], solution.events[f"{name}_after"])
     strain = np.asarray(setup.scene.membrane.strain(solution.state.x))
     assert np.abs(strain).max() < 0.01

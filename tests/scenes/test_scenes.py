@@ -29,7 +29,7 @@ def test_a_sheet_starts_clear_of_walls_and_without_stress(setups, name):
     state = jc.initial_state(setup.scene, setup.x)
     parts = jc.energies(setup.scene, state.x, state.v, state.p, state.t)
     # Springs and hinges are those of the rest shape, however that is placed.
-    assert parts.confinement == 0.0
+    assert parts.walls == 0.0
     if name in ("cylindrical", "axial"):
         radius = 0.017 - 1.1 * 0.25e-3 - 25e-6 if name == "cylindrical" else 0.2
         rigidity = float(setup.material.bending_rigidity)

@@ -208,7 +208,7 @@ def test_a_snap_switches_to_inertia_and_back():
     assert events["t"][0] >= inertial
     assert events["t"][2] - events["t"][1] >= inertial
     events = events.iloc[1:]
-    for name in ("stretch", "bending", "confinement"):
+    for name in ("stretch", "bending", "walls"):
         assert np.all(events[f"{name}_before"] > 0)
         np.testing.assert_array_equal(events[f"{name}_before"], events[f"{name}_after"])
     assert np.all(events["kinetic_after"] > 0)
