@@ -87,12 +87,13 @@ def run(
     from jaxcrumple.run.config import pairs
     from jaxcrumple.run.progress import ConsoleProgress
     from jaxcrumple.run.run import check_resumable, flat, resume_run, start_run, stored_config
+    from jaxcrumple.scenes.functions import absolute
 
     folder, limit = out or Path("runs") / Path(scene.rpartition(":")[2]).stem, _seconds(max_seconds)
     given = {"nodes": nodes, "t_end": t_end, "seed": seed}
     asked: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     if resume and not asked and not settings and not _is_file(scene):
-        config = stored_config(RunDirectory.open(folder)).model_copy(update={"scene": scene})
+        config = stored_config(RunDirectory.open(folder)).model_copy(update={"scene": absolute(scene)})
     else:
         config = _asked(scene, settings, asked)
     if resume:

@@ -55,7 +55,7 @@ from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.solvers.log import COLUMNS, ENERGIES, EVENT_COLUMNS
 from jaxcrumple.state import STAGES, Work
 
-FORMAT, VERSION = "jaxcrumple-run", 2
+FORMAT, VERSION = "jaxcrumple-run", 3
 RUN, MESH, SUMMARY, FILM = "run.json", "mesh.npz", "summary.json", "run.vtkhdf"
 # The film of an unfinished run; it does not belong to the run.
 PARTIAL = "partial.vtkhdf"

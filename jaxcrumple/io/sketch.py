@@ -1,10 +1,13 @@
 """Sketches: a few numbers per array that distinguish trees of arrays, independent of the machine."""
 
-from collections.abc import Mapping, Sequence
+import inspect
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxcrumple.scene import Scene
@@ -15,6 +18,8 @@ SAME = 1e-9
 PARTS = (
     "mass", "membrane", "bending", "plasticity", "drag", "damping", "walls", "gravity", "prescribed", "extra",
 )  # fmt: skip
+# Curvatures and rest curvatures at which flow rules are compared.
+SAMPLES = ((0.0, 0.0), (0.3, 0.1), (-1.1, 0.2), (1.7, -0.4))
 CONTACT_PARTS = ("stiffness", "range", "core", "density")
 
 
@@ -41,7 +46,29 @@ def sketch_scene(scene: Scene, x: Any) -> dict[str, list[float]]:
     """Return the sketches of the parts of a scene, by name, and of its initial positions `x` (n, 3)."""
     parts = {name: getattr(scene, name) for name in PARTS}
     parts["contact"] = [getattr(scene.contact, name, None) for name in CONTACT_PARTS]
-    return {name: sketch(part) for name, part in {**parts, "start": x}.items()}
+    found = {name: [*sketch(part), kinds(part)] for name, part in {**parts, "start": x}.items()}
+    if scene.plasticity is not None:
+        # Two laws may have the same name and numbers.
+        ones = jnp.ones(scene.bending.nodes.shape[0])
+        rates = [scene.plasticity.rate(c * ones, p * ones) for c, p in SAMPLES]
+        found["plasticity"] += sketch(rates)
+    return found
+
+
+def kinds(tree: Any) -> float:
+    """Return a checksum of the names of all classes and functions in a tree."""
+    return float(zlib.crc32(" ".join(_names(tree)).encode()))
+
+
+def _names(part: Any) -> Iterator[str]:
+    if isinstance(part, eqx.Module):
+        yield type(part).__qualname__
+        part = [value for name, value in vars(part).items() if not name.startswith("__")]
+    if isinstance(part, list | tuple):
+        for one in part:
+            yield from _names(one)
+    elif inspect.isfunction(part):
+        yield part.__qualname__
 
 
 def first_difference(saved: Mapping[str, Sequence[float]], now: Mapping[str, Sequence[float]]) -> str:

@@ -74,6 +74,16 @@ class Unit:
             raise _refused(f"has an unknown unit, {text[:_LONGEST]!r}{hint}") from error
 
 
+def si_of_any(value: Any) -> Any:
+    """Convert a string with any unit to a number in SI units; return any other value unchanged."""
+    found = _QUANTITY.fullmatch(value) if isinstance(value, str) and not _is_plain(value) else None
+    if found is None:
+        return value
+    number, text = found.groups()
+    # The parser needs the dimension only for its messages.
+    return float((Decimal(number) * LENGTH._parsed(text)).to_base_units().magnitude)
+
+
 def unit_of(field: Any) -> Unit | None:
     """Return the unit of a Pydantic field or of the items of its lists, or None."""
     return next((found for found in _metadata(field) if isinstance(found, Unit)), None)

@@ -18,11 +18,12 @@ def described(config: RunConfig) -> list[str]:
     """
     mesh, options = file_mesh(config), config.options
     nodes = config.nodes if mesh is None else mesh.n_nodes
-    walls = scene_entry(config.scene).walls(options)
+    entry = scene_entry(config.scene)
+    walls = ("as the function builds them",) if entry.own else entry.walls(options)
     contact = options.get("contact") or "none: the sheet passes through itself"
     solver = config.solver
     return [
-        f"scene: {config.scene}, {scene_entry(config.scene).summary}",
+        f"scene: {config.scene}, {entry.summary}",
         f"nodes: {nodes}, seed {config.seed}",
         *([] if mesh is None else [f"mesh: {patch_test(mesh)}"]),
         f"walls: {'; '.join(walls) or 'none'}",

@@ -7,11 +7,12 @@ import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, create_model
+from pydantic import BaseModel, BeforeValidator, ConfigDict, create_model
 
 from jaxcrumple.options.suggest import nearest
+from jaxcrumple.options.units import si_of_any
 from jaxcrumple.options.validation import ConfigError
 from jaxcrumple.scenes.catalogue import SCENES, SceneEntry
 from jaxcrumple.scenes.setup import Setup
@@ -121,7 +122,11 @@ class _FunctionOptions(BaseModel):
 
 
 def _annotation(parameter: inspect.Parameter) -> Any:
-    return Any if parameter.annotation is parameter.empty else parameter.annotation
+    """Return the type of an option; numbers may carry a unit of any dimension."""
+    kind = parameter.annotation
+    if kind is parameter.empty:
+        kind = float if isinstance(parameter.default, float) else Any
+    return Annotated[float, BeforeValidator(si_of_any)] if kind in (float, "float") else kind
 
 
 def _checked(function: Callable[..., Setup], name: str) -> Callable[..., Setup]:

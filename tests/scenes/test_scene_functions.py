@@ -52,7 +52,8 @@ def module(tmp_path, monkeypatch):
 def test_a_function_is_a_scene_with_options_and_an_end(module):
     config = configure(f"{module}:dropped", nodes=40, settings=["thickness=0.2 mm"])
     assert (config.t_end, config.frames, config.options) == (2e-3, 2, {"width": 0.02, "height": 1e-3})
-    setup = configure(f"{module}:dropped", nodes=40, settings={"width": 0.03}).build()
+    # Numbers may have a unit, as those of the built-in scenes.
+    setup = configure(f"{module}:dropped", nodes=40, settings=["width=3 cm"]).build()
     assert setup.mesh.n_nodes == 40 and np.ptp(setup.mesh.vertices[:, 0]) == pytest.approx(0.03)
     assert "my_scenes:dropped, Square sheet that falls on a floor" in described(config)[0]
     assert configure(f"{module}:dropped", nodes=40, t_end=0.01).t_end == 0.01
@@ -101,6 +102,9 @@ def test_the_command_runs_a_function_that_goes_on_from_anywhere(module, tmp_path
     ]
     first = subprocess.run([sys.executable, *command], capture_output=True, text=True)
     assert first.returncode == 1 and "budget" in first.stdout + first.stderr
+    again = ["run", "my_scenes.py:dropped", "--resume", "--out", "out", "--max-seconds", "0"]
+    same = subprocess.run([sys.executable, "-m", "jaxcrumple", *again], capture_output=True, text=True)
+    assert same.returncode == 1 and "budget" in same.stdout + same.stderr
     monkeypatch.chdir("/")
     resumed = jc.resume_run(tmp_path / "out")
     assert resumed["result"] == "success" and resumed["t_reached"] == 2e-3
@@ -109,9 +113,23 @@ def test_the_command_runs_a_function_that_goes_on_from_anywhere(module, tmp_path
     assert run.x[-1][:, 2].mean() < 1e-3
 
 
-def setup_of(height=1e-3):
+class Creep(jc.AbstractFlowRule):
+    """A sheet that forgets."""
+
+    def rate(self, c, p):
+        return 2.0 * (c - p)
+
+
+class Faster(Creep):
+    """The same with the same numbers, twice as fast."""
+
+    def rate(self, c, p):
+        return 4.0 * (c - p)
+
+
+def setup_of(height=1e-3, law=None):
     mesh = jc.rectangle(0.02, 0.02, 40, sweeps=3)
-    scene = jc.sheet(mesh, jc.Material(), gravity=(0.0, 0.0, -9.81))
+    scene = jc.sheet(mesh, jc.Material(), gravity=(0.0, 0.0, -9.81), plasticity=law or Creep())
     return jc.Setup(mesh, scene, mesh.vertices + np.array([0.0, 0.0, height]), t_end=2e-3, frames=2)
 
 
@@ -124,6 +142,8 @@ def test_a_setup_gets_a_folder_that_goes_on_to_the_same_bits(tmp_path):
         jc.resume_run(tmp_path / "cut")
     with pytest.raises(RunDirectoryError, match="now make another start than the run began with"):
         jc.resume_run(tmp_path / "cut", setup=setup_of(2e-3))
+    with pytest.raises(RunDirectoryError, match="now make another plasticity than the run began with"):
+        jc.resume_run(tmp_path / "cut", setup=setup_of(law=Faster()))
     assert jc.resume_run(tmp_path / "cut", setup=setup_of())["result"] == "success"
     one, other = (jc.load(tmp_path / name) for name in ("whole", "cut"))
     np.testing.assert_array_equal(one.x, other.x)

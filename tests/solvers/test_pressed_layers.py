@@ -188,7 +188,7 @@ def test_a_sheet_that_starts_in_contact_rests_or_parts():
 def test_a_frame_that_intersects_is_no_success(monkeypatch):
     """Where nothing stops the sheet, the audit tells."""
     for stage in ("implicit", "explicit"):
-        monkeypatch.setattr(f"jaxcrumple.solvers.{stage}.passes", lambda *_: jnp.asarray(False))
+        monkeypatch.setattr(f"jaxcrumple.solvers.{stage}.base.passes", lambda *_: jnp.asarray(False))
     module = importlib.import_module("jaxcrumple.simulate")
     monkeypatch.setattr(module, "_integrate", eqx.filter_jit(jc.integrate))
     mesh = strip(2.0 * SIGMA)

@@ -73,7 +73,7 @@ class ContactReport(NamedTuple):
             head += f", smallest gap {self.gap:.4g} m between triangles {first} and {second}"
         rows = [f"{'list':<16}{'entries':>10}{'capacity':>10}{'skin (m)':>12}{'skin used':>11}  node"]
         rows += [
-            f"{name:<16}{entries:>10}{capacity:>10}{skin:>12.3g}{share:>11.1%}  {node}"
+            f"{name:<16}{entries:>10}{capacity:>10}{skin:>12.3g}{share:>11.1%}  {node if share else '-'}"
             for name, entries, capacity, skin, node, share in self.lists
         ]
         turn = f"largest turn left out: {np.rad2deg(self.turn):.0f} of {np.rad2deg(MOST_TURN):.0f} degrees"
@@ -98,6 +98,8 @@ def contact_report(scene: Scene, x: ArrayLike) -> ContactReport:
     numbers, place, turn = _measured(with_lists(scene, lists), x)
     reports = tuple(_reports(lists, x))
     reasons = tuple(report.fault for report in reports if report.fault)
+    if turn > MOST_TURN:
+        reasons += ("two triangles at a node came close by folding, and the candidates leave them out",)
     gap, interacting = float(numbers[1]), int(numbers[2])
     closest = _corners(contact, lists, int(place)) if interacting else None
     return ContactReport(
