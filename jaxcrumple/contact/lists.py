@@ -14,7 +14,6 @@ from functools import reduce
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -216,17 +215,6 @@ def carried(old: Array, new: Array, values: Array, default: Array | float) -> Ar
     place = jnp.minimum(jnp.searchsorted(old, new), old.shape[0] - 1)
     same = (old[place] == new) & (new != NONE)
     return jnp.where(same.reshape(-1, *[1] * (values.ndim - 1)), values[place], default)
-
-
-def place_type(size: int) -> type:
-    """Return the narrowest integer type that counts up to `size`; wider integers are slower."""
-    return jnp.int32 if size <= jnp.iinfo(jnp.int32).max else jnp.int64
-
-
-def split(place: Array, width: int) -> tuple[Array, Array]:
-    """Split places row * `width` + column, which must not be negative, into row and column."""
-    columns = jnp.asarray(width, place.dtype)
-    return jax.lax.div(place, columns), jax.lax.rem(place, columns)
 
 
 def motion(start: Array, end: Array) -> Array:

@@ -1,5 +1,6 @@
 """Narrow phase: find the site pairs that may interact among the candidate pairs of triangles."""
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -10,8 +11,6 @@ from jaxcrumple.contact.lists import (
     Capacity,
     Reference,
     SitePairs,
-    place_type,
-    split,
 )
 from jaxcrumple.contact.parameters import Contact
 from jaxcrumple.contact.site_rows import Lattice, across, in_prism, within, without
@@ -78,7 +77,7 @@ class _Stages:
     def sites(self, pairs: Array) -> tuple[Array, Array]:
         """Find the sites near the second triangle of the first `pairs` pairs, and count them."""
         contact, lattice = self.contact, self.lattice
-        integer = place_type(self.capacity.triangles * lattice.count)
+        integer = _place_type(self.capacity.triangles * lattice.count)
         strange = _may_meet(contact, self.x, self.first, self.second, self.reach)
 
         def close(at: Array) -> tuple[Array, Array]:
@@ -93,12 +92,12 @@ class _Stages:
 
     def _sides(self, found: Array, x: Array) -> tuple[Vec, Vec, Vec]:
         """Return `Lattice.steps` from the sites `found` (m,) in the lattice of the second triangle."""
-        owner, site = split(found, self.lattice.count)
+        owner, site = _split(found, self.lattice.count)
         point = self.lattice.point(site, gather(x, self.first[owner]))
         return self.lattice.steps(point, gather(x, self.second[owner]))
 
     def _limit(self, found: Array) -> Array:
-        return self.reach[split(found, self.lattice.count)[0]]
+        return self.reach[_split(found, self.lattice.count)[0]]
 
     def rows(self, found: Array, count: Array) -> tuple[Array, Array]:
         """Find the rows near the first `count` sites: place in `found` * `width` + row, and their number."""
@@ -107,7 +106,7 @@ class _Stages:
             start, row, step = self._sides(found[at], self.x)
             return within(across(start, step), across(row, step), self._limit(found[at]), self.lattice.parts)
 
-        wide = place_type(self.capacity.sites * self.width)
+        wide = _place_type(self.capacity.sites * self.width)
         return enumerated(
             near, count, self.capacity.pairs, LINES, lambda at, k: at.astype(wide)[:, None] * self.width + k
         )
@@ -118,10 +117,10 @@ class _Stages:
         Returns the pairs and their number.
         """
         contact, lattice = self.contact, self.lattice
-        integer = place_type(self.capacity.sites * lattice.count)
+        integer = _place_type(self.capacity.sites * lattice.count)
 
         def near(at: Array) -> tuple[Array, Array]:
-            here, number = split(lines[at], self.width)
+            here, number = _split(lines[at], self.width)
             last = lattice.parts - number
             start, row, step = self._sides(found[here], self.x)
             close = within(add(start, scale(number, row)), step, self._limit(found[here]), last)
@@ -131,7 +130,7 @@ class _Stages:
             return without(close, within(add(start, scale(number, row)), step, known, last))
 
         def entry(at: Array, column: Array) -> Array:
-            here, number = split(lines[at], self.width)
+            here, number = _split(lines[at], self.width)
             first = here.astype(integer) * lattice.count + lattice.first[number]
             return first[:, None] + column
 
@@ -159,11 +158,22 @@ class _Stages:
     def _between(self, found: Array, pairs: Array, x: Array) -> tuple[tuple[Array, Array, Array], Vec]:
         """Return the pair of triangles and the two sites of site pairs, and the vector from the second site
         to the first."""
-        row, second = split(pairs, self.lattice.count)
-        owner, first = split(found[row], self.lattice.count)
+        row, second = _split(pairs, self.lattice.count)
+        owner, first = _split(found[row], self.lattice.count)
         here = self.lattice.point(first, gather(x, self.first[owner]))
         r = sub(here, self.lattice.point(second, gather(x, self.second[owner])))
         return (owner, first, second), r
+
+
+def _place_type(size: int) -> type:
+    """Return the narrowest integer type that counts up to `size`; wider integers are slower."""
+    return jnp.int32 if size <= jnp.iinfo(jnp.int32).max else jnp.int64
+
+
+def _split(place: Array, width: int) -> tuple[Array, Array]:
+    """Split places row * `width` + column, which must not be negative, into row and column."""
+    columns = jnp.asarray(width, place.dtype)
+    return jax.lax.div(place, columns), jax.lax.rem(place, columns)
 
 
 def _in_all(count: Array, whole: Array, part: Array) -> Array:

@@ -50,10 +50,10 @@ class Unit:
         """
         if isinstance(value, bool):
             raise _refused(f"is not a number; give {self.name}, such as {self.example!r}")
-        found = _QUANTITY.fullmatch(value) if isinstance(value, str) and not _is_plain(value) else None
+        found = _quantity(value)
         if found is None:
             return value
-        number, text = found.groups()
+        number, text = found
         unit = self._parsed(text)
         if not unit.is_compatible_with(self.symbol):
             raise _refused(f"is {_dimension(unit)}; give {self.name}, such as {self.example!r}")
@@ -76,10 +76,10 @@ class Unit:
 
 def si_of_any(value: Any) -> Any:
     """Convert a string with any unit to a number in SI units; return any other value unchanged."""
-    found = _QUANTITY.fullmatch(value) if isinstance(value, str) and not _is_plain(value) else None
+    found = _quantity(value)
     if found is None:
         return value
-    number, text = found.groups()
+    number, text = found
     # The parser needs the dimension only for its messages.
     return float((Decimal(number) * LENGTH._parsed(text)).to_base_units().magnitude)
 
@@ -104,6 +104,12 @@ def _registry() -> "pint.UnitRegistry":
     import pint
 
     return pint.UnitRegistry(non_int_type=Decimal)
+
+
+def _quantity(value: Any) -> tuple[str, str] | None:
+    """Split a string into its number and its unit; None for any other value."""
+    found = _QUANTITY.fullmatch(value) if isinstance(value, str) and not _is_plain(value) else None
+    return None if found is None else (found[1], found[2])
 
 
 def _is_plain(text: str) -> bool:

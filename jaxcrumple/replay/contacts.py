@@ -75,17 +75,16 @@ def _met(
     Returns the sorted pairs of triangles (c, 2), and the flags `folded` (w,) as in `CandidatePairs`."""
     n = len(search.faces)
     keys, folded = [np.zeros(0, np.int64)], np.zeros(len(search.fan_triangles), bool)
-    left = list(range(len(x)))
-    while left:
-        first = x[left[0]]
-        moved = np.stack([np.asarray(motion(first, x[k])) for k in left])
+    start = 0
+    while start < len(x):
+        moved = np.stack([np.asarray(motion(x[start], end)) for end in x[start:]])
         together = int(np.argmax(np.append(moved.max(axis=1) > TOGETHER * search.sigma, True)))
-        skin = SLACK * search.sigma + moved[:together]
-        for row, k in enumerate(left[:together]):
-            skin[row] += np.asarray(motion(before[k], x[k])) * explicit[k]
-        pairs, ways = search.find(first, skin.max(axis=0))
+        skin, behind = SLACK * search.sigma + moved[:together], start + together
+        for row, k in zip(skin, range(start, behind), strict=True):
+            row += np.asarray(motion(before[k], x[k])) * explicit[k]
+        pairs, ways = search.find(x[start], skin.max(axis=0))
         keys.append(pairs[:, 0] * n + pairs[:, 1])
-        folded, left = folded | ways, left[together:]
+        folded, start = folded | ways, behind
     key = np.unique(np.concatenate(keys))
     return np.stack([key // n, key % n], axis=1), folded
 

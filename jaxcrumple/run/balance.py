@@ -134,8 +134,8 @@ def _pushes(scene: Scene, state: State, term: _Term) -> str:
 def _why(scene: Scene, state: State, name: str) -> str:
     """Describe how close to a wall or to itself the sheet starts."""
     if name == "contact":
-        assert scene.contact is not None and scene.lists is not None
-        gap = float(contact.closest_sites(scene.contact, scene.lists, state.x)[0])
+        assert scene.contact is not None
+        gap = float(contact.closest_sites(scene.contact, scene.own_lists, state.x)[0])
         reach = float(scene.contact.range)
         return f"; layers start {_length(gap)} apart, within its range of {_length(reach)}"
     if name.startswith("wall"):

@@ -55,9 +55,9 @@ def figures(setup: Setup, state: State) -> dict[str, Any]:
 def _contacts(mesh: Mesh, scene: Scene, x: np.ndarray) -> dict[str, Any]:
     """Count intersections and contacts; find the smallest distance in m of two sites in contact, or None."""
     found: dict[str, Any] = {"intersections": count_intersections(mesh, x), "min_gap": None, "contacts": 0}
-    if scene.contact is None or scene.lists is None:
+    if scene.contact is None:
         return found
-    gap, count, _ = closest_sites(scene.contact, scene.lists, jnp.asarray(x))
+    gap, count, _ = closest_sites(scene.contact, scene.own_lists, jnp.asarray(x))
     return found | {"min_gap": float(gap) if count else None, "contacts": int(count)}
 
 

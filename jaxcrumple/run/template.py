@@ -26,13 +26,13 @@ def template(scene: str) -> str:
 
     **Raises:** `ConfigError` for an unknown scene.
     """
-    config = configure(scene)
+    config, entry = configure(scene), scene_entry(scene)
     document = tomlkit.document()
-    document.add(tomlkit.comment(f"{scene}: {scene_entry(scene).summary}."))
+    document.add(tomlkit.comment(f"{scene}: {entry.summary}."))
     document.add(tomlkit.comment('Numbers are in SI units; strings may carry a unit, such as "0.25 mm".'))
-    groups: dict[str, type[BaseModel]] = {"options": scene_entry(scene).options}
+    groups: dict[str, type[BaseModel]] = {"options": entry.options}
     _fill(document, RunConfig, plain(config.model_dump()), groups)
-    return tomlkit.dumps(document) + "".join(_listed("options", scene_entry(scene).options))
+    return tomlkit.dumps(document) + "".join(_listed("options", entry.options))
 
 
 def _fill(

@@ -131,8 +131,8 @@ def check_gap(scene: Scene, state: State) -> None:
     **Raises:** ValueError for layers that touch, that are so close that the contact force has no reliable
     direction, or that lie within the core of a barrier. It states the distance and names two triangles.
     """
-    contact, lists = scene.contact, scene.lists
-    assert contact is not None and lists is not None
+    contact, lists = scene.contact, scene.own_lists
+    assert contact is not None
     _check_touching(contact, lists.pairs, np.abs(np.asarray(state.x)).max())
     gap, _, owner = closest_sites(contact, lists, state.x)
     least = float(CLOSEST * contact.range if contact.core is None else contact.core)

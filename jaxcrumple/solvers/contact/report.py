@@ -13,7 +13,7 @@ from jaxcrumple.contact.adjacency import MOST_TURN
 from jaxcrumple.contact.energy import closest_sites, energy
 from jaxcrumple.contact.lists import ContactLists, Reference, motion
 from jaxcrumple.contact.parameters import Contact
-from jaxcrumple.scene import Scene, require_scene, with_lists
+from jaxcrumple.scene import Scene, require_scene
 from jaxcrumple.solvers.contact.reallocate import with_contacts
 from jaxcrumple.solvers.contact.schedule import unlisted_turn
 from jaxcrumple.state import check_positions
@@ -93,9 +93,9 @@ def contact_report(scene: Scene, x: ArrayLike) -> ContactReport:
         raise ValueError("the scene has no contact to report on; build it with contact=SelfContact().")
     check_positions("x", x, scene.n_nodes)
     scene = with_contacts(scene, x) if scene.lists is None else scene
-    assert scene.contact is not None and scene.lists is not None
-    contact, lists, x = scene.contact, scene.lists._replace(active=None), jnp.asarray(x, float)
-    numbers, place, turn = _measured(with_lists(scene, lists), x)
+    contact, lists, x = scene.contact, scene.own_lists, jnp.asarray(x, float)
+    assert contact is not None
+    numbers, place, turn = _measured(scene, x)
     reports = tuple(_reports(lists, x))
     reasons = tuple(report.fault for report in reports if report.fault)
     if turn > MOST_TURN:
@@ -111,8 +111,8 @@ def contact_report(scene: Scene, x: ArrayLike) -> ContactReport:
 def _measured(scene: Scene, x: Array) -> tuple[tuple[Array, Array, Array], Array, Array]:
     """Compute energy, smallest gap and number of interacting site pairs; the place of the closest pair; and
     the largest turn left out."""
-    contact, lists = scene.contact, scene.lists
-    assert contact is not None and lists is not None
+    contact, lists = scene.contact, scene.own_lists
+    assert contact is not None
     gap, count, place = closest_sites(contact, lists, x)
     return (energy(contact, lists, x), gap, count), place, unlisted_turn(scene, x)
 
@@ -120,21 +120,24 @@ def _measured(scene: Scene, x: Array) -> tuple[tuple[Array, Array, Array], Array
 def _reports(lists: ContactLists, x: Array):
     """Yield the reports of the lists, coarse to fine."""
     candidates, pairs = lists.candidates, lists.pairs
-    yield _report("candidate pairs", candidates.count, candidates.triangles.shape[0], candidates.reference, x)
+    used = _used(candidates.reference, x)
+    yield ListReport("candidate pairs", int(candidates.count), candidates.triangles.shape[0], *used)
     names = ("triangle pairs", "sites", "site pairs")
+    used = _used(pairs.reference, x)
     for name, needed, capacity in zip(names, pairs.needed, pairs.capacity, strict=True):
         # The narrow phase counts more site pairs than it lists: neighbours at rest are among them.
-        yield _report(name, needed, capacity, pairs.reference, x)
+        yield ListReport(name, int(needed), capacity, *used)
 
 
-def _report(name: str, entries: Array, capacity: int, reference: Reference, x: Array) -> ListReport:
+def _used(reference: Reference, x: Array) -> tuple[float, int, float]:
+    """Return the smallest skin in m, and the node that used the largest share of its skin, with the share."""
     skin = np.asarray(reference.skin)
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.asarray(motion(reference.x, x)) / skin
     # A list that was never built has positions NaN.
     share = np.where(np.isnan(share), np.inf, share)
     node = int(np.argmax(share))
-    return ListReport(name, int(entries), capacity, float(skin.min()), node, float(share[node]))
+    return float(skin.min()), node, float(share[node])
 
 
 def _corners(contact: Contact, lists: ContactLists, place: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
