@@ -7,8 +7,8 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
+from jaxcrumple._jax.arrays import HingeValues, NodeValues, Scalar
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import is_known, require_finite, require_numbers, shown
 from jaxcrumple.assembly.contact_blocks import ContactBlocks
@@ -41,10 +41,10 @@ class Scene(eqx.Module):
     - `lists`: neighbour lists of `with_contacts`, or None. Runs build their own.
     """
 
-    mass: Array
-    area: Array
-    reference_acceleration: Array
-    velocity_scale: Array
+    mass: NodeValues
+    area: Scalar
+    reference_acceleration: Scalar
+    velocity_scale: Scalar
     membrane: Membrane
     bending: Bending
     plasticity: AbstractFlowRule | None
@@ -64,12 +64,12 @@ class Scene(eqx.Module):
         return self.mass.shape[0]
 
     @property
-    def length_scale(self) -> Array:
+    def length_scale(self) -> Scalar:
         """Return $\\sqrt A$ in m, the unit of the position error."""
         return jnp.sqrt(self.area)
 
     @property
-    def inertial_time(self) -> Array:
+    def inertial_time(self) -> Scalar:
         """Return m/b_iso in s, the time scale below which inertia exceeds drag; infinite without drag."""
         if self.drag is None:
             return jnp.asarray(jnp.inf)
@@ -96,7 +96,7 @@ class Scene(eqx.Module):
         blocks = ContactBlocks.of(self.lists.pairs, self.contact.faces, self.lists.matrix)
         return eqx.tree_at(lambda p: p.contact, self.pattern, blocks, is_leaf=lambda leaf: leaf is None)
 
-    def rest_curvature_of(self, p: Array | None) -> Array:
+    def rest_curvature_of(self, p: HingeValues | None) -> HingeValues:
         """Return the rest curvature `p` of a state, or the initial one in an elastic scene (`p` None)."""
         return self.bending.rest_curvature if p is None else p
 
@@ -275,7 +275,7 @@ def _wall(wall: Wall | AbstractShape, mesh: Mesh, constants) -> Wall:
     return Wall(wall, jnp.asarray(share * mesh.node_area), jnp.asarray(constants.sigma))
 
 
-def _velocity_scale(mesh: Mesh, material: Material) -> Array:
+def _velocity_scale(mesh: Mesh, material: Material) -> Scalar:
     """Return the velocity in m/s whose error counts as much as a position error of the sheet's size.
 
     Before drag removes a velocity error, it moves a node by the error divided by the drag rate. Without drag

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple, Protocol
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from jax.typing import ArrayLike
+from jaxtyping import Array, Float, Int
 
+from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeValues, NodeVectors, NodeVectorsLike, Scalar
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.memory import require
 from jaxcrumple._jax.tree import as_float, is_known, require_finite
@@ -62,12 +62,12 @@ class History(eqx.Module):
     `order`: order of the next step, if its stage allows that order.
     """
 
-    x: Array
-    v: Array
-    p: Array | None
-    steps: Array
-    count: Array
-    order: Array
+    x: Float[Array, "points nodes 3"]
+    v: Float[Array, "points nodes 3"]
+    p: Float[Array, "points hinges"] | None
+    steps: Float[Array, " points"]
+    count: Count
+    order: Count
 
 
 class ImplicitStep(eqx.Module):
@@ -78,19 +78,19 @@ class ImplicitStep(eqx.Module):
     `inertia` is 1 with the inertial force and 0 without.
     """
 
-    t: Array
-    beta_h: Array
-    x_memory: Array
-    v_memory: Array | None
-    p_memory: Array | None
+    t: Scalar
+    beta_h: Scalar
+    x_memory: NodeVectors
+    v_memory: NodeVectors | None
+    p_memory: HingeValues | None
     damping_memory: Any
-    inertia: Array
+    inertia: Scalar
 
-    def velocity(self, x: Array) -> Array:
+    def velocity(self, x: NodeVectors) -> NodeVectors:
         """Return the velocity (n, 3) of the formula at new positions `x`."""
         return (x + self.x_memory) / self.beta_h
 
-    def acceleration(self, v: Array) -> Array:
+    def acceleration(self, v: NodeVectors) -> NodeVectors:
         """Return the acceleration (n, 3) of the formula at new velocities `v`; 0 without inertia."""
         if self.v_memory is None:
             return jnp.zeros_like(v)
@@ -101,20 +101,25 @@ class Points(Protocol):
     """Describe past points, newest first: positions and velocities (6, n, 3), p (6, h) or None."""
 
     @property
-    def x(self) -> Array:
+    def x(self) -> Float[Array, "points nodes 3"]:
         """Positions in m."""
 
     @property
-    def v(self) -> Array:
+    def v(self) -> Float[Array, "points nodes 3"]:
         """Velocities in m/s."""
 
     @property
-    def p(self) -> Array | None:
+    def p(self) -> Float[Array, "points hinges"] | None:
         """Rest curvatures."""
 
 
 def implicit_step(
-    scene: Scene, history: Points, alpha: Array, beta_h: Array, t: Array, inertia: Array | None = None
+    scene: Scene,
+    history: Points,
+    alpha: Float[Array, " points"],
+    beta_h: Scalar,
+    t: Scalar,
+    inertia: Scalar | None = None,
 ) -> ImplicitStep:
     """Build the implicit step with equations at time `t` and coefficients `alpha` (6,) of the history.
 
@@ -134,8 +139,8 @@ class Linearization(eqx.Module):
     """Record where a tangent was computed: in which `step`, at positions `x` (n, 3), `age` steps ago."""
 
     step: ImplicitStep
-    x: Array
-    age: Array
+    x: NodeVectors
+    age: Count
 
 
 class Monitor(eqx.Module):
@@ -145,11 +150,11 @@ class Monitor(eqx.Module):
     `measured`: whether the stability limit was measured after the last step; `futile`: number of consecutive
     implicit stages that ended after a few steps."""
 
-    ratios: Array
-    steps: Array
-    since: Array
-    measured: Array
-    futile: Array
+    ratios: Float[Array, " window"]
+    steps: Count
+    since: Scalar
+    measured: Flag
+    futile: Count
 
 
 class Counters(eqx.Module):
@@ -159,12 +164,12 @@ class Counters(eqx.Module):
     Newton iterations, of one linear solve each; `linear`: iterations of these solves; `factors`:
     factorisations; `switches`: changes of stage."""
 
-    steps: Array
-    rejected: Array
-    newton: Array
-    linear: Array
-    factors: Array
-    switches: Array
+    steps: Int[Array, " stages"]
+    rejected: Int[Array, " causes"]
+    newton: Count
+    linear: Count
+    factors: Count
+    switches: Count
 
 
 class Work(NamedTuple):
@@ -175,12 +180,12 @@ class Work(NamedTuple):
     loses (negative).
     """
 
-    walls: Array
-    supports: Array
-    drag: Array
-    damping: Array
-    plastic: Array
-    numerical: Array
+    walls: Scalar
+    supports: Scalar
+    drag: Scalar
+    damping: Scalar
+    plastic: Scalar
+    numerical: Scalar
 
 
 def no_work() -> Work:
@@ -193,9 +198,9 @@ class Slopes(NamedTuple):
 
     `acceleration` (n, 3) in m/s2; `flow` (h,) in 1/s: dp/dt; `known`: whether both are valid."""
 
-    acceleration: Array
-    flow: Array | None
-    known: Array
+    acceleration: NodeVectors
+    flow: HingeValues | None
+    known: Flag
 
 
 class Listing(eqx.Module):
@@ -210,16 +215,16 @@ class Listing(eqx.Module):
     pairs: Reference
     active: Reference
     matrix: Reference
-    stale: Array
-    needed: Array
+    stale: Flag
+    needed: Int[Array, "4"]
 
 
 class Limit(NamedTuple):
     """Hold the last measured stability limit: the largest stable explicit `step` in s, and the stiffness
     (n,) in N/m of `walls` at that measurement."""
 
-    step: Array
-    walls: Array
+    step: Scalar
+    walls: NodeValues
 
 
 class State(eqx.Module):
@@ -233,14 +238,14 @@ class State(eqx.Module):
     implicit steps was computed; `monitor`, `counters`, `result`; `work`: the work ledger, or None.
     """
 
-    t: Array
-    x: Array
-    v: Array
-    p: Array | None
-    h: Array
-    h_explicit: Array
+    t: Scalar
+    x: NodeVectors
+    v: NodeVectors
+    p: HingeValues | None
+    h: Scalar
+    h_explicit: Scalar
     limit: Limit
-    stage: Array
+    stage: Count
     slopes: Slopes
     listing: Listing | None
     history: History
@@ -253,7 +258,12 @@ class State(eqx.Module):
 
 @door
 def initial_state(
-    scene: Scene, x: ArrayLike, v: ArrayLike | None = None, *, window: int = 5, ledger: bool = False
+    scene: Scene,
+    x: NodeVectorsLike,
+    v: NodeVectorsLike | None = None,
+    *,
+    window: int = 5,
+    ledger: bool = False,
 ) -> State:
     """Build the state at t = 0 with positions `x` (n, 3) in m and velocities `v` (n, 3) in m/s (default 0).
 
@@ -298,14 +308,14 @@ def initial_state(
     )
 
 
-def fresh_monitor(window: int, futile: ArrayLike = 0) -> Monitor:
+def fresh_monitor(window: int, futile: Count | int = 0) -> Monitor:
     """Build the monitor of the last `window` steps at the start of a stage, after `futile` futile stages."""
     zero, futile = jnp.asarray(0, int), jnp.asarray(futile, int)
     return Monitor(jnp.zeros(window), zero, jnp.asarray(0.0, float), jnp.asarray(False), futile)
 
 
 def _memory(
-    scene: Scene, x: Array, v: Array, p: Array | None
+    scene: Scene, x: NodeVectors, v: NodeVectors, p: HingeValues | None
 ) -> tuple[Slopes, History, Linearization, Listing | None]:
     """Return the slopes, history, tangent record and listing of a state without a past."""
     slopes = Slopes(jnp.zeros_like(x), None if p is None else jnp.zeros_like(p), jnp.asarray(False))
@@ -321,7 +331,7 @@ def _no_linearization(scene: Scene, history: History) -> Linearization:
     return Linearization(step, history.x[0], jnp.asarray(NEVER, int))
 
 
-def first_listing(contact: Contact, x: Array) -> Listing:
+def first_listing(contact: Contact, x: NodeVectors) -> Listing:
     """Return the listing of a run that starts at positions `x` (n, 3)."""
     candidates = Reference(x, jnp.broadcast_to(contact.calm, x.shape[0]))
     pairs = Reference(x, jnp.minimum(candidates.skin, FIRST * contact.range))
@@ -330,7 +340,7 @@ def first_listing(contact: Contact, x: Array) -> Listing:
     return Listing(candidates, pairs, active, matrix, jnp.asarray(False), jnp.zeros(4, int))
 
 
-def restarted(scene: Scene, state: State, x: Array, v: Array) -> State:
+def restarted(scene: Scene, state: State, x: NodeVectors, v: NodeVectors) -> State:
     """Return the state at new positions `x` (n, 3) in m and velocities `v` (n, 3) in m/s.
 
     It keeps stage, step sizes, counters and p, and forgets history, tangent, listing and monitor."""
@@ -342,10 +352,10 @@ def restarted(scene: Scene, state: State, x: Array, v: Array) -> State:
     )
 
 
-def restart_history(x: Array, v: Array, p: Array | None) -> History:
+def restart_history(x: NodeVectors, v: NodeVectors, p: HingeValues | None) -> History:
     """Return a history of the current point alone; its velocity need not balance the forces."""
 
-    def repeat(a: Array, times: int) -> Array:
+    def repeat(a: Float[Array, " *axes"], times: int) -> Float[Array, " times *axes"]:
         return jnp.broadcast_to(a, (times, *a.shape))
 
     past = None if p is None else repeat(p, HISTORY)
@@ -380,7 +390,7 @@ def check_state(scene: Scene, state: State) -> None:
     _check_supports(scene, state.x, state.t)
 
 
-def _check_supports(scene: Scene, x: Array, t: Array) -> None:
+def _check_supports(scene: Scene, x: NodeVectors, t: Scalar) -> None:
     if scene.prescribed is not None:
         check_supported(scene.prescribed, x, t, scene.length_scale)
 

@@ -6,9 +6,17 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sparse
-from jax import Array
-from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float
 
+from jaxcrumple._jax.arrays import (
+    Flag,
+    HingeValues,
+    HingeValuesLike,
+    NodeVectors,
+    NodeVectorsLike,
+    Scalar,
+    ScalarLike,
+)
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float, require_shape
 from jaxcrumple.contact import energy as contact_energy
@@ -21,17 +29,19 @@ from jaxcrumple.state import ImplicitStep, State, check_state
 class Energies(NamedTuple):
     """Hold the energies by term in J."""
 
-    stretch: Array
-    bending: Array
-    contact: Array
-    walls: Array
-    gravity: Array
-    extra: Array
-    kinetic: Array
+    stretch: Scalar
+    bending: Scalar
+    contact: Scalar
+    walls: Scalar
+    gravity: Scalar
+    extra: Scalar
+    kinetic: Scalar
 
 
 @door
-def energies(scene: Scene, x: ArrayLike, v: ArrayLike, p: ArrayLike | None, t: ArrayLike) -> Energies:
+def energies(
+    scene: Scene, x: NodeVectorsLike, v: NodeVectorsLike, p: HingeValuesLike | None, t: ScalarLike
+) -> Energies:
     """Compute the energies by term in J. `bending` is the stored bending energy, at rest curvature `p`.
 
     **Raises:** ValueError if positions or velocities are not of shape (n, 3), rest curvatures not of shape
@@ -51,7 +61,7 @@ def energies(scene: Scene, x: ArrayLike, v: ArrayLike, p: ArrayLike | None, t: A
     )
 
 
-def nodal(scene: Scene, **values: ArrayLike) -> list[Array]:
+def nodal(scene: Scene, **values: NodeVectorsLike) -> list[NodeVectors]:
     """Convert named values, NumPy arrays included, to float arrays (n, 3).
 
     **Raises:** ValueError that names a value of another shape, or if `scene` is not a Scene.
@@ -62,7 +72,7 @@ def nodal(scene: Scene, **values: ArrayLike) -> list[Array]:
     return [as_float(value) for value in values.values()]
 
 
-def _others(scene: Scene, p: ArrayLike | None, t: ArrayLike) -> tuple[Array | None, Array]:
+def _others(scene: Scene, p: HingeValuesLike | None, t: ScalarLike) -> tuple[HingeValues | None, Scalar]:
     """Convert rest curvatures (h,), or None, and the time to float arrays."""
     if p is not None:
         require_shape("p", p, scene.bending.rest_curvature.shape)
@@ -71,7 +81,7 @@ def _others(scene: Scene, p: ArrayLike | None, t: ArrayLike) -> tuple[Array | No
 
 
 @door
-def potential_energy(scene: Scene, x: ArrayLike, p: ArrayLike | None, t: ArrayLike) -> Array:
+def potential_energy(scene: Scene, x: NodeVectorsLike, p: HingeValuesLike | None, t: ScalarLike) -> Scalar:
     """Compute the total potential energy in J. Its gradient is the reference for the closed-form forces.
 
     **Raises:** ValueError as `energies` does.
@@ -81,7 +91,7 @@ def potential_energy(scene: Scene, x: ArrayLike, p: ArrayLike | None, t: ArrayLi
     return sum(parts[:-1], jnp.zeros((), x.dtype))
 
 
-def force_terms(scene: Scene, x: Array, p: Array | None, t: Array) -> list[Array]:
+def force_terms(scene: Scene, x: NodeVectors, p: HingeValues | None, t: Scalar) -> list[NodeVectors]:
     """Compute the forces (n, 3) in N on nodes at rest, term by term; their sum is `force` at v = 0."""
     bending = scene.bending.force(scene.bending.hinges(x), scene.rest_curvature_of(p), x.shape[0])
     terms = [scene.membrane.force(x), bending]
@@ -91,7 +101,7 @@ def force_terms(scene: Scene, x: Array, p: Array | None, t: Array) -> list[Array
     return terms if scene.gravity is None else [*terms, scene.gravity.force()]
 
 
-def _external_force(scene: Scene, x: Array, t: Array) -> Array:
+def _external_force(scene: Scene, x: NodeVectors, t: Scalar) -> NodeVectors:
     total = scene.membrane.force(x)
     if scene.contact is not None:
         total = total + contact_energy.force(scene.contact, scene.own_lists, x)
@@ -103,7 +113,9 @@ def _external_force(scene: Scene, x: Array, t: Array) -> Array:
 
 
 @door
-def force(scene: Scene, x: ArrayLike, v: ArrayLike, p: ArrayLike | None, t: ArrayLike) -> Array:
+def force(
+    scene: Scene, x: NodeVectorsLike, v: NodeVectorsLike, p: HingeValuesLike | None, t: ScalarLike
+) -> NodeVectors:
     """Compute the net force F(x, v, p, t) on the nodes (n, 3) in N (eq. 2).
 
     **Raises:** ValueError as `energies` does.
@@ -113,7 +125,9 @@ def force(scene: Scene, x: ArrayLike, v: ArrayLike, p: ArrayLike | None, t: Arra
     return _force_and_rate(scene, x, v, p, t)[0]
 
 
-def rates(scene: Scene, x: Array, v: Array, p: Array | None, t: Array) -> tuple[Array, Array, Array | None]:
+def rates(
+    scene: Scene, x: NodeVectors, v: NodeVectors, p: HingeValues | None, t: Scalar
+) -> tuple[NodeVectors, NodeVectors, HingeValues | None]:
     """Compute the right-hand side of eq. (1) with plastic flow: (dx/dt, dv/dt, dp/dt)."""
     f, dp = _force_and_rate(scene, x, v, p, t)
     dx, dv = v, f / scene.mass[:, None]
@@ -123,12 +137,14 @@ def rates(scene: Scene, x: Array, v: Array, p: Array | None, t: Array) -> tuple[
     return dx, dv, dp
 
 
-def force_at_rest(scene: Scene, hinges: Hinge, x: Array, p: Array | None, t: Array) -> Array:
+def force_at_rest(
+    scene: Scene, hinges: Hinge, x: NodeVectors, p: HingeValues | None, t: Scalar
+) -> NodeVectors:
     """Compute the force (n, 3) in N on nodes at rest at positions `x` (n, 3), whose hinges are `hinges`."""
     return _external_force(scene, x, t) + scene.bending.force(hinges, scene.rest_curvature_of(p), x.shape[0])
 
 
-def _force_and_rate(scene: Scene, x, v, p, t) -> tuple[Array, Array | None]:
+def _force_and_rate(scene: Scene, x, v, p, t) -> tuple[NodeVectors, HingeValues | None]:
     hinges = scene.bending.hinges(x)
     total = force_at_rest(scene, hinges, x, p, t)
     if scene.drag is not None:
@@ -140,7 +156,7 @@ def _force_and_rate(scene: Scene, x, v, p, t) -> tuple[Array, Array | None]:
     return total, scene.plasticity.rate(curvature(hinges.theta), p)
 
 
-def residual(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array | None]:
+def residual(scene: Scene, step: ImplicitStep, x: NodeVectors) -> tuple[NodeVectors, HingeValues | None]:
     """Compute the residual $Ma - F$ (n, 3) of the condensed system (51), and the new p.
 
     The formula eliminates v and p, so that x is Newton's only unknown. The plastic update of each hinge is
@@ -150,19 +166,23 @@ def residual(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array |
     return value, p
 
 
-def updated_rest_curvature(scene: Scene, step: ImplicitStep, x: Array) -> Array | None:
+def updated_rest_curvature(scene: Scene, step: ImplicitStep, x: NodeVectors) -> HingeValues | None:
     """Compute the new p (h,) of an implicit step that ends at positions `x` (n, 3), as in `residual`."""
     return _plastic_update(scene, step, scene.bending.hinges(x).theta)[0]
 
 
-def _plastic_update(scene: Scene, step: ImplicitStep, theta: Array) -> tuple[Array | None, Array | None]:
+def _plastic_update(
+    scene: Scene, step: ImplicitStep, theta: HingeValues
+) -> tuple[HingeValues | None, HingeValues | None]:
     """Return the new p (h,) and its derivative with respect to the curvature; None without plastic flow."""
     if scene.plasticity is None or step.p_memory is None:
         return None, None
     return implicit_update(scene.plasticity, curvature(theta), step.p_memory, step.beta_h)
 
 
-def _condensed(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array | None, Array | None]:
+def _condensed(
+    scene: Scene, step: ImplicitStep, x: NodeVectors
+) -> tuple[NodeVectors, HingeValues | None, HingeValues | None]:
     hinges = scene.bending.hinges(x)
     p, softening = _plastic_update(scene, step, hinges.theta)
     total = force_at_rest(scene, hinges, x, p, step.t)
@@ -177,7 +197,9 @@ def _condensed(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array
     return value, p, softening
 
 
-def linearize(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array]:
+def linearize(
+    scene: Scene, step: ImplicitStep, x: NodeVectors
+) -> tuple[NodeVectors, Float[Array, " entries"]]:
     """Compute the residual (n, 3) and the values (size,) of its exact, symmetric tangent (eq. 51).
 
     The values are the entries of `scene.sparsity`."""
@@ -198,12 +220,12 @@ def linearize(scene: Scene, step: ImplicitStep, x: Array) -> tuple[Array, Array]
 @door
 def elastic_tangent(
     scene: Scene,
-    x: ArrayLike,
-    p: ArrayLike | None,
-    t: ArrayLike,
-    shift: ArrayLike = 0.0,
-    taut: Array | None = None,
-) -> Array:
+    x: NodeVectorsLike,
+    p: HingeValuesLike | None,
+    t: ScalarLike,
+    shift: ScalarLike = 0.0,
+    taut: Flag | Bool[Array, " edges"] | None = None,
+) -> Float[Array, " entries"]:
     """Compute the values (size,) in N/m of the Hessian of the potential energy plus `shift` times the mass.
 
     `shift` in 1/s2; `taut` as in `Membrane.blocks`.
@@ -217,7 +239,7 @@ def elastic_tangent(
     return _assemble(scene, x, t, scene.membrane.blocks(x, taut), hinge_blocks, nodes)
 
 
-def _assemble(scene: Scene, x, t, edge_blocks, hinge_blocks, nodes) -> Array:
+def _assemble(scene: Scene, x, t, edge_blocks, hinge_blocks, nodes) -> Float[Array, " entries"]:
     for wall in scene.walls:
         nodes = nodes + wall.blocks(x, t)
     extra = [term.blocks(x, t) for term in scene.extra]
@@ -232,7 +254,9 @@ def _assemble(scene: Scene, x, t, edge_blocks, hinge_blocks, nodes) -> Array:
     return values if scene.prescribed is None else _eliminate(scene, scene.prescribed.held(t), values)
 
 
-def _eliminate(scene: Scene, held: Array, values: Array) -> Array:
+def _eliminate(
+    scene: Scene, held: Bool[Array, "nodes 3"], values: Float[Array, " entries"]
+) -> Float[Array, " entries"]:
     """Replace rows and columns of the components `held` (n, 3) by the identity times a typical stiffness."""
     pattern, mask = scene.sparsity, held.reshape(-1)
     fixed = mask[pattern.rows] | mask[pattern.indices]

@@ -6,9 +6,11 @@ import os
 import signal
 from pathlib import Path
 
+import array_types
 import jax
 import pytest
 
+array_types.install()
 jax.config.update("jax_enable_x64", True)
 # Tests compile for longer than they run, and trace for as long, where collecting garbage often costs a tenth.
 FLAGS = ["--xla_backend_optimization_level=0"]
