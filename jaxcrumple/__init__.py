@@ -30,8 +30,9 @@ from jaxcrumple.model.walls import (
     Sphere,
     Wall,
 )
+from jaxcrumple.options.validation import ConfigError
 from jaxcrumple.replay import Record, Replay, replay
-from jaxcrumple.run.config import ConfigError, configure
+from jaxcrumple.run.config import configure
 from jaxcrumple.run.run import resume_run, start_run
 from jaxcrumple.run.scene_file import read_scene_file, write_scene_file
 from jaxcrumple.scene import Scene, sheet

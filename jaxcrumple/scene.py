@@ -268,7 +268,7 @@ def _check_walls(walls: Any) -> None:
         )
 
 
-def _wall(wall: Wall | AbstractShape, mesh: Mesh, constants) -> Wall:
+def _wall(wall: Wall | AbstractShape, mesh: Mesh, constants: ModelConstants) -> Wall:
     if isinstance(wall, Wall):
         return wall
     share = WALL_SHARE * constants.ks.mean() * WALL_NODES / mesh.area

@@ -9,8 +9,9 @@ import equinox as eqx
 import jax
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
+from jaxtyping import ArrayLike, Float, Real
 
+from jaxcrumple._jax.arrays import Scalar, ScalarLike
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.memory import require, require_run
 from jaxcrumple._jax.program_cache import make_room
@@ -37,6 +38,9 @@ TRAIL = 256
 # Most consecutive calls that wait for a larger list and make no attempt: more than the lists can double.
 MOST_WAITS = 100
 _integrate = eqx.filter_jit(integrate)
+
+# Frame times in s, or the end time alone.
+Times = ScalarLike | Real[ArrayLike, " times"] | Sequence[float]
 
 RESULT_NAMES = ("success", "budget", "collapsed", "blocked", "intersected", "nonfinite")
 
@@ -72,10 +76,10 @@ class Solution:
     state: State
     result: str
     message: str
-    t: np.ndarray
-    x: np.ndarray
-    v: np.ndarray
-    p: np.ndarray | None
+    t: Float[np.ndarray, " frames"]
+    x: Float[np.ndarray, "frames nodes 3"]
+    v: Float[np.ndarray, "frames nodes 3"]
+    p: Float[np.ndarray, "frames hinges"] | None
     history: pd.DataFrame
     events: pd.DataFrame
     compile_s: float
@@ -90,9 +94,9 @@ class Solution:
 @dataclass
 class _Kept:
     t: list[float] = field(default_factory=list)
-    x: list[np.ndarray] = field(default_factory=list)
-    v: list[np.ndarray] = field(default_factory=list)
-    p: list[np.ndarray] = field(default_factory=list)
+    x: list[Float[np.ndarray, "nodes 3"]] = field(default_factory=list)
+    v: list[Float[np.ndarray, "nodes 3"]] = field(default_factory=list)
+    p: list[Float[np.ndarray, " hinges"]] = field(default_factory=list)
     history: list[pd.DataFrame] = field(default_factory=list)
     events: list[pd.DataFrame] = field(default_factory=list)
 
@@ -112,7 +116,7 @@ class _Kept:
 def simulate(
     scene: Scene,
     state: State,
-    times: ArrayLike,
+    times: Times,
     *,
     solver: Integrator | None = None,
     observers: Sequence[Observer] = (),
@@ -189,7 +193,7 @@ def simulate(
     return solution
 
 
-def frame_times(t_end: float, frames: int) -> np.ndarray:
+def frame_times(t_end: float, frames: int) -> Float[np.ndarray, " times"]:
     """Return `frames` + 1 evenly spaced times from 0 to `t_end` in s.
 
     **Raises:** ValueError for an end time that is not positive, or fewer frames than 1.
@@ -202,7 +206,7 @@ def frame_times(t_end: float, frames: int) -> np.ndarray:
     return np.linspace(0.0, t_end, frames + 1)
 
 
-def checked_times(times: ArrayLike, first_frame: int = 0, now: float = 0.0) -> np.ndarray:
+def checked_times(times: Times, first_frame: int = 0, now: float = 0.0) -> Float[np.ndarray, " times"]:
     """Return the frame times in s as an array.
 
     **Raises:** ValueError for times that are not finite, not increasing or before `now`.
@@ -260,7 +264,14 @@ def _compile(scene: Scene, state: State, solver: Integrator, recorder: StepRecor
     return time.perf_counter() - start
 
 
-def _called(scene, state, t_stop, solver, left, recorder: StepRecorder | None) -> tuple[State, Log]:
+def _called(
+    scene: Scene,
+    state: State,
+    t_stop: Scalar,
+    solver: Integrator,
+    left: Scalar,
+    recorder: StepRecorder | None,
+) -> tuple[State, Log]:
     """Call `integrate` once."""
     if recorder is None:
         return _integrate(scene, state, t_stop, solver, left)
@@ -270,11 +281,11 @@ def _called(scene, state, t_stop, solver, left, recorder: StepRecorder | None) -
 
 
 def _advance(
-    scene,
+    scene: Scene,
     state: State,
     t_stop: float,
-    solver,
-    watchers,
+    solver: Integrator,
+    watchers: Sequence[Observer],
     frames: int,
     budget: _Budget,
     reallocation: Reallocation | None,
@@ -305,7 +316,9 @@ def _advance(
 _NO_ROWS = np.zeros((0, len(COLUMNS)))
 
 
-def _tell(watchers, state: State, rows: np.ndarray, frames: int) -> None:
+def _tell(
+    watchers: Sequence[Observer], state: State, rows: Float[np.ndarray, "rows columns"], frames: int
+) -> None:
     history, events = history_table(rows), events_table(rows)
     for watcher in watchers:
         watcher.chunk(state, history, events, frames)

@@ -28,7 +28,7 @@ CAUSES = ("error", "newton", "unstable", "fold", "nonfinite", "contact")
 NEVER = 1_000_000
 
 
-class RESULTS(eqx.Enumeration):  # type: ignore[misc]
+class RESULTS(eqx.Enumeration):
     """Name how a run ended."""
 
     success = "the run reached its end time"

@@ -144,7 +144,9 @@ def force_at_rest(
     return _external_force(scene, x, t) + scene.bending.force(hinges, scene.rest_curvature_of(p), x.shape[0])
 
 
-def _force_and_rate(scene: Scene, x, v, p, t) -> tuple[NodeVectors, HingeValues | None]:
+def _force_and_rate(
+    scene: Scene, x: NodeVectors, v: NodeVectors, p: HingeValues | None, t: Scalar
+) -> tuple[NodeVectors, HingeValues | None]:
     hinges = scene.bending.hinges(x)
     total = force_at_rest(scene, hinges, x, p, t)
     if scene.drag is not None:
@@ -234,12 +236,19 @@ def elastic_tangent(
     """
     (x,) = nodal(scene, x=x)
     p, t = _others(scene, p, t)
-    nodes = (shift * scene.mass)[:, None, None] * jnp.eye(3)
+    nodes = (as_float(shift) * scene.mass)[:, None, None] * jnp.eye(3)
     hinge_blocks = scene.bending.blocks(x, scene.rest_curvature_of(p), None)
     return _assemble(scene, x, t, scene.membrane.blocks(x, taut), hinge_blocks, nodes)
 
 
-def _assemble(scene: Scene, x, t, edge_blocks, hinge_blocks, nodes) -> Float[Array, " entries"]:
+def _assemble(
+    scene: Scene,
+    x: NodeVectors,
+    t: Scalar,
+    edge_blocks: Float[Array, "3 3 3 edges"],
+    hinge_blocks: Float[Array, "10 3 3 hinges"],
+    nodes: Float[Array, "nodes 3 3"],
+) -> Float[Array, " entries"]:
     for wall in scene.walls:
         nodes = nodes + wall.blocks(x, t)
     extra = [term.blocks(x, t) for term in scene.extra]

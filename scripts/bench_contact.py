@@ -10,13 +10,13 @@ counts. Iterations of the two-level solver: for the residual of a step of 0.1 ms
     python scripts/bench_contact.py [--nodes N ...] [--json FILE]
 """
 
-from pathlib import dataclasses
+import dataclasses
+from pathlib import Path
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import Path
 from benchlib import markdown, options, paired, parts_of_a_step, recorded, save, timed_run
 from matplotlib.figure import Figure
 

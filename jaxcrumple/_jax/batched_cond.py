@@ -6,13 +6,14 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Bool
 
+from jaxcrumple._jax.arrays import Flag
 from jaxcrumple._jax.door import own_modes
 from jaxcrumple._jax.tree import select
 
 
-def where_needed(needed: Array, make: Callable[..., Any], old: Any, *args: Any) -> Any:
+def where_needed(needed: Flag, make: Callable[..., Any], old: Any, *args: Any) -> Any:
     """Return `make(*args)` where `needed`, else `old`, a tree of the same structure.
 
     Under `vmap`, `jax.lax.cond` computes both branches. This function computes `make` for all lanes if at
@@ -25,12 +26,14 @@ def where_needed(needed: Array, make: Callable[..., Any], old: Any, *args: Any) 
         return eqx.filter(make(*eqx.combine(arrays, static)[1]), eqx.is_array)
 
     @jax.custom_batching.custom_vmap
-    def chosen(needed: Array, arrays: Any) -> Any:
+    def chosen(needed: Flag, arrays: Any) -> Any:
         return jax.lax.cond(needed, made, lambda arrays: arrays[0], arrays)
 
     @chosen.def_vmap
     @own_modes()
-    def lanes(size: int, in_batched: Any, needed: Array, arrays: Any) -> tuple[Any, Any]:
+    def lanes(
+        size: int, in_batched: Any, needed: Flag | Bool[Array, " lanes"], arrays: Any
+    ) -> tuple[Any, Any]:
         axes = jax.tree.map(lambda batched: 0 if batched else None, in_batched[1])
         new = jax.vmap(made, in_axes=(axes,), axis_size=size)
         kept = jax.vmap(lambda arrays: arrays[0], in_axes=(axes,), axis_size=size)

@@ -11,8 +11,9 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Bool, Int
 
+from jaxcrumple._jax.arrays import Count
 from jaxcrumple._jax.door import own_modes
 
 # Row length of the two-stage cumulative sum in `counted`.
@@ -20,10 +21,10 @@ SIDE = 32
 
 
 def accumulate(
-    add: Callable[[Any, Any, Array, Array], Any],
+    add: Callable[[Any, Any, Int[Array, " chunk"], Bool[Array, " chunk"]], Any],
     start: Any,
     arguments: Any,
-    count: Array,
+    count: Count,
     room: int,
     chunk: int,
 ) -> Any:
@@ -38,8 +39,10 @@ def accumulate(
 
 
 @eqx.filter_custom_jvp
-def _accumulate(start: Any, arguments: Any, count: Array, *, add, room: int, chunk: int) -> Any:
-    def body(carry: tuple[Array, Any]) -> tuple[Array, Any]:
+def _accumulate(
+    start: Any, arguments: Any, count: Count, *, add: Callable[..., Any], room: int, chunk: int
+) -> Any:
+    def body(carry: tuple[Count, Any]) -> tuple[Count, Any]:
         first, total = carry
         return first + chunk, add(total, arguments, *_places(first, count, room, chunk))
 
@@ -48,7 +51,14 @@ def _accumulate(start: Any, arguments: Any, count: Array, *, add, room: int, chu
 
 @_accumulate.def_jvp
 @own_modes()
-def _derivative(primals, tangents, *, add, room: int, chunk: int):
+def _derivative(
+    primals: tuple[Any, Any, Count],
+    tangents: tuple[Any, Any, Any],
+    *,
+    add: Callable[..., Any],
+    room: int,
+    chunk: int,
+) -> tuple[Any, Any]:
     start, arguments, count = primals
     moved, changed, _ = tangents
 
@@ -56,10 +66,10 @@ def _derivative(primals, tangents, *, add, room: int, chunk: int):
     group = math.isqrt(rounds - 1) + 1
 
     def whole(start: Any, arguments: Any) -> Any:
-        def one(total: Any, first: Array) -> Any:
+        def one(total: Any, first: Count) -> Any:
             return add(total, arguments, *_places(first, count, room, chunk))
 
-        def several(total: Any, first: Array) -> Any:
+        def several(total: Any, first: Count) -> Any:
             return _each(one, total, first + chunk * jnp.arange(group), count)
 
         return _each(several, start, chunk * group * jnp.arange(-(-rounds // group)), count)
@@ -67,33 +77,37 @@ def _derivative(primals, tangents, *, add, room: int, chunk: int):
     return eqx.filter_jvp(whole, (start, arguments), (moved, changed))
 
 
-def _each(function: Callable[[Any, Array], Any], start: Any, numbers: Array, count: Array) -> Any:
+def _each(
+    function: Callable[[Any, Count], Any], start: Any, numbers: Int[Array, " rounds"], count: Count
+) -> Any:
     """Add the contributions of `function` for each of `numbers` (m,) below `count` to `start`.
 
     Reverse mode recomputes the rounds instead of storing them: there may be many, but few below `count`.
     """
 
     @jax.checkpoint
-    def body(total: Any, number: Array) -> tuple[Any, None]:
+    def body(total: Any, number: Count) -> tuple[Any, None]:
         return jax.lax.cond(number < count, lambda: function(total, number), lambda: total), None
 
     return jax.lax.scan(body, start, numbers)[0]
 
 
-def _places(first: Array, count: Array, room: int, chunk: int) -> tuple[Array, Array]:
+def _places(
+    first: Count, count: Count, room: int, chunk: int
+) -> tuple[Int[Array, " chunk"], Bool[Array, " chunk"]]:
     """Return places (chunk,) from `first` on, clipped to the capacity `room`, and which are below `count`."""
     at = first + jnp.arange(chunk)
     return jnp.minimum(at, room - 1), at < count
 
 
 def compacted(
-    test: Callable[[Array], Array],
-    count: Array,
+    test: Callable[[Int[Array, " rows"]], Bool[Array, "rows width"]],
+    count: Count,
     width: int,
     size: int,
     rows: int,
-    entries: Callable[[Array], Array] = lambda places: places,
-) -> tuple[Array, Array]:
+    entries: Callable[[Int[Array, " places"]], Int[Array, " places"]] = lambda places: places,
+) -> tuple[Int[Array, " size"], Count]:
     """List the places row * width + column where `test` holds, in order, padded with 0.
 
     `test` takes row numbers (k,) and returns flags (k, `width`) of a table with `count` valid rows. The loop
@@ -102,7 +116,7 @@ def compacted(
     **Returns:** `entries` of these places (size,), by default the places themselves, and how many there are.
     """
 
-    def body(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    def body(carry: tuple[Count, Int[Array, " size"], Count]) -> tuple[Count, Int[Array, " size"], Count]:
         chunk, kept, total = carry
         at = chunk * rows + jnp.arange(rows, dtype=jnp.int32)
         inside = jnp.minimum(at, count - 1)
@@ -121,12 +135,14 @@ def compacted(
 
 
 def enumerated(
-    intervals: Callable[[Array], tuple[Array, Array]],
-    count: Array,
+    intervals: Callable[
+        [Int[Array, " rows"]], tuple[Int[Array, "rows intervals"], Int[Array, "rows intervals"]]
+    ],
+    count: Count,
     size: int,
     rows: int,
-    entries: Callable[[Array, Array], Array],
-) -> tuple[Array, Array]:
+    entries: Callable[[Int[Array, " rows"], Int[Array, "rows intervals"]], Int[Array, "rows intervals"]],
+) -> tuple[Int[Array, " size"], Count]:
     """List the integers in the intervals of each row, in order, mapped by `entries` and padded with 0.
 
     `intervals` takes row numbers (k,) and returns start and exclusive end of (k, w) intervals. `entries`
@@ -135,7 +151,7 @@ def enumerated(
     **Returns:** the mapped integers (size,), and how many there are.
     """
 
-    def body(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    def body(carry: tuple[Count, Int[Array, " size"], Count]) -> tuple[Count, Int[Array, " size"], Count]:
         chunk, kept, total = carry
         at = chunk * rows + jnp.arange(rows, dtype=jnp.int32)
         inside = jnp.minimum(at, count - 1)
@@ -143,7 +159,7 @@ def enumerated(
         length = jnp.where((at < count)[:, None], jnp.maximum(behind - first, 0), 0)
         ends = total + counted(length.reshape(-1)).reshape(length.shape)
 
-        def add(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        def add(carry: tuple[Count, Int[Array, " size"]]) -> tuple[Count, Int[Array, " size"]]:
             number, kept = carry
             place = jnp.where(number < length, ends - length + number, size)
             found = entries(inside, first + number)
@@ -159,13 +175,13 @@ def enumerated(
     return kept, total.astype(int)
 
 
-def filled(value: Callable[[Array], Any], count: Array, size: int, chunk: int) -> Any:
+def filled(value: Callable[[Int[Array, " chunk"]], Any], count: Count, size: int, chunk: int) -> Any:
     """Fill the columns (size,) of a table chunk by chunk for its first `count` entries.
 
     `value` takes places (chunk,) and returns a tree of columns (chunk,). Entries after the last chunk are 0.
     """
 
-    def body(carry: tuple[Array, Any]) -> tuple[Array, Any]:
+    def body(carry: tuple[Count, Any]) -> tuple[Count, Any]:
         first, columns = carry
         part = value(_places(first, count, size, chunk)[0])
         put = partial(jax.lax.dynamic_update_slice_in_dim, start_index=first, axis=0)
@@ -178,7 +194,7 @@ def filled(value: Callable[[Array], Any], count: Array, size: int, chunk: int) -
     return jax.tree.map(lambda column: column[:size], columns)
 
 
-def counted(numbers: Array) -> Array:
+def counted(numbers: Int[Array, " entries"] | Bool[Array, " entries"]) -> Int[Array, " entries"]:
     """Return the inclusive cumulative sum (m,) of small integers or flags `numbers` (m,).
 
     A matrix product sums within rows of SIDE numbers; a short cumulative sum adds the rows before.

@@ -5,14 +5,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from jax.typing import ArrayLike
+from jaxtyping import Array, ArrayLike, Float, Integer, Real
+
+from jaxcrumple._jax.arrays import Flag
 
 # Most characters of a wrong value that a message quotes.
 QUOTED = 80
 
 
-def as_float(value: ArrayLike) -> Array:
+def as_float(value: Real[ArrayLike, " *axes"]) -> Float[Array, " *axes"]:
     """Convert a number or an array to a float array, so that the field is a differentiable leaf.
 
     The explicit type makes Python and NumPy numbers compile to the same program.
@@ -28,7 +29,7 @@ def as_float(value: ArrayLike) -> Array:
             raise ValueError(f"{value!r} is neither a number nor an array of numbers.") from error
 
 
-def as_numbers(what: str, value: ArrayLike) -> Array:
+def as_numbers(what: str, value: Integer[ArrayLike, " *axes"]) -> Integer[Array, " *axes"]:
     """Convert node numbers to an integer array.
 
     **Raises:** ValueError unless all are whole numbers from 0 on.
@@ -107,6 +108,6 @@ def shown(value: Any) -> str:
     return text if len(text) <= QUOTED and "\n" not in text else f"a {type(value).__name__}"
 
 
-def select(keep: Array, new: Any, old: Any) -> Any:
+def select(keep: Flag, new: Any, old: Any) -> Any:
     """Select the leaves of the tree `new` where `keep`, else those of `old`."""
     return jax.tree.map(lambda a, b: jnp.where(keep, a, b), new, old)

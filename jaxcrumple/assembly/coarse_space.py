@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Array, Float, Int
 
 # Number of functions along one direction that overlap a cell, and that overlap it or an adjacent cell.
 SUPPORT, WINDOW = 4, 6
@@ -25,16 +25,16 @@ class CoarseSpace(eqx.Module):
     - `size`: number of functions.
     """
 
-    cell: Array
-    weights: Array
-    members: Array
-    place: Array
-    functions: Array
-    window: Array
+    cell: Int[Array, "nodes 2"]
+    weights: Float[Array, "nodes 2 4"]
+    members: Int[Array, "cells members"]
+    place: Int[Array, " nodes"]
+    functions: Int[Array, "cells 16"]
+    window: Int[Array, "cells 36"]
     size: int = eqx.field(static=True)
 
 
-def build_coarse_space(rest: np.ndarray, pairs: np.ndarray) -> CoarseSpace:
+def build_coarse_space(rest: Float[np.ndarray, "nodes 3"], pairs: Int[np.ndarray, "pairs 2"]) -> CoarseSpace:
     """Build the coarse space of nodes at `rest` (n, 3) m whose tangent couples the node `pairs` (m, 2).
 
     If a shell covers itself along its shortest direction, the functions couple its layers. The
@@ -54,7 +54,7 @@ def build_coarse_space(rest: np.ndarray, pairs: np.ndarray) -> CoarseSpace:
     corner = np.stack([occupied // grid[1], occupied % grid[1]], axis=1)
     members, place = _members(owner.reshape(-1), len(occupied), len(points))
 
-    def device(a: np.ndarray) -> Array:
+    def device(a: Int[np.ndarray, " *axes"]) -> Int[Array, " *axes"]:
         return jnp.asarray(a.astype(np.int32))
 
     return CoarseSpace(
@@ -68,14 +68,14 @@ def build_coarse_space(rest: np.ndarray, pairs: np.ndarray) -> CoarseSpace:
     )
 
 
-def _longest_directions(rest: np.ndarray) -> np.ndarray:
+def _longest_directions(rest: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, "nodes 2"]:
     """Return coordinates (n, 2) along the two principal directions of largest variance."""
     centred = rest - rest.mean(axis=0)
     _, directions = np.linalg.eigh(centred.T @ centred)
     return centred @ directions[:, :0:-1]
 
 
-def _cubic(u: np.ndarray) -> np.ndarray:
+def _cubic(u: Float[np.ndarray, " *axes"]) -> Float[np.ndarray, "*axes 4"]:
     """Return the weights (..., 4) of the uniform cubic B-splines that overlap a cell, at `u` in [0, 1]."""
     return (
         np.stack(
@@ -86,7 +86,9 @@ def _cubic(u: np.ndarray) -> np.ndarray:
     )
 
 
-def _members(owner: np.ndarray, cells: int, n: int) -> tuple[np.ndarray, np.ndarray]:
+def _members(
+    owner: Int[np.ndarray, " nodes"], cells: int, n: int
+) -> tuple[Int[np.ndarray, "cells members"], Int[np.ndarray, " nodes"]]:
     order = np.argsort(owner, kind="stable")
     counts = np.bincount(owner, minlength=cells)
     rank = np.arange(n) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -97,7 +99,9 @@ def _members(owner: np.ndarray, cells: int, n: int) -> tuple[np.ndarray, np.ndar
     return members, place
 
 
-def _numbers(corner: np.ndarray, first: int, count: int, sides: np.ndarray) -> np.ndarray:
+def _numbers(
+    corner: Int[np.ndarray, "cells 2"], first: int, count: int, sides: Int[np.ndarray, "2"]
+) -> Int[np.ndarray, "cells functions"]:
     """Return the numbers (c, count^2) of functions from offset `first`; outside the grid, their total."""
     along = [corner[:, i, None] + first + np.arange(count) for i in range(2)]
     inside = [(a >= 0) & (a < side) for a, side in zip(along, sides, strict=True)]

@@ -9,8 +9,9 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sparse
-from jax import Array
+from jaxtyping import Array, Bool, Float, Int
 
+from jaxcrumple._jax.arrays import Count, Flag, NodeValues, NodeVectors
 from jaxcrumple._jax.padded import accumulate
 from jaxcrumple.contact.lists import MatrixPairs, SitePairs, pair_key
 
@@ -28,14 +29,16 @@ class ContactBlocks(eqx.Module):
     - `matrix`: structure of the matrix of sheet and contact, or None if the linear solver does not need it.
     """
 
-    triangles: Array
-    nodes: Array
-    count: Array
+    triangles: Int[Array, "triangles 2"]
+    nodes: Int[Array, "triangles 6"]
+    count: Count
     matrix: MatrixPairs | None
     n_faces: int = eqx.field(static=True)
 
     @classmethod
-    def of(cls, pairs: SitePairs, faces: Array, matrix: MatrixPairs | None) -> "ContactBlocks":
+    def of(
+        cls, pairs: SitePairs, faces: Int[Array, "faces 3"], matrix: MatrixPairs | None
+    ) -> "ContactBlocks":
         """Return the blocks of the listed `pairs` of the triangles `faces` (f, 3)."""
         nodes = faces[pairs.triangles].reshape(-1, 6)
         return cls(pairs.triangles, nodes, pairs.triangle_count, matrix, faces.shape[0])
@@ -45,10 +48,17 @@ class ContactBlocks(eqx.Module):
         """Return the number of values of all blocks."""
         return SIZE * self.triangles.shape[0]
 
-    def product(self, appended: Array, x: Array) -> Array:
+    def product(
+        self, appended: Float[Array, " appended"], x: Float[Array, " components"]
+    ) -> Float[Array, " components"]:
         """Multiply the blocks in the appended values (81 t + n,) by a vector (3n,)."""
 
-        def add(total: Array, arguments: tuple["ContactBlocks", Array, Array], at: Array, held: Array):
+        def add(
+            total: NodeVectors,
+            arguments: tuple["ContactBlocks", Float[Array, "triangles 3 3 3 3"], NodeVectors],
+            at: Int[Array, " chunk"],
+            held: Bool[Array, " chunk"],
+        ) -> NodeVectors:
             contact, blocks, points = arguments
             blocks, nodes = _kept(blocks[at], held), contact.nodes[at]
             one, two = nodes[:, :3], nodes[:, 3:]
@@ -60,18 +70,20 @@ class ContactBlocks(eqx.Module):
         arguments = (self, self._blocks(appended), points)
         return accumulate(add, jnp.zeros_like(points), arguments, self.count, room, CHUNK).reshape(-1)
 
-    def free(self, appended: Array, mask: Array) -> Array:
+    def free(
+        self, appended: Float[Array, " appended"], mask: Bool[Array, "nodes 3"]
+    ) -> Float[Array, " appended"]:
         """Set rows and columns of components in `mask` (n, 3) to zero in the appended values."""
         one, two = mask[self.nodes[:, :3]], mask[self.nodes[:, 3:]]
         fixed = one[:, :, None, :, None] | two[:, None, :, None, :]
         blocks = jnp.where(fixed, 0.0, self._blocks(appended)).reshape(-1)
         return jnp.concatenate([blocks, self.lift(appended)])
 
-    def lift(self, appended: Array) -> Array:
+    def lift(self, appended: Float[Array, " appended"]) -> NodeValues:
         """Return the diagonal correction (n,) for uses of the sheet's part without the contact blocks."""
         return appended[self.size :]
 
-    def upper(self, appended: np.ndarray, size: int) -> sparse.csr_array:
+    def upper(self, appended: Float[np.ndarray, " appended"], size: int) -> sparse.csr_array:
         """Convert the appended values to the upper triangle of a matrix (size, size)."""
         nodes = np.asarray(self.nodes)
         row = np.broadcast_to(
@@ -83,13 +95,20 @@ class ContactBlocks(eqx.Module):
         matrix = sparse.csr_array((appended[: self.size], (row, column)), shape=(size, size))
         return sparse.csr_array(sparse.triu(matrix + matrix.T))
 
-    def merge(self, own: Array, appended: Array) -> Array:
+    def merge(
+        self, own: Float[Array, " entries"], appended: Float[Array, " appended"]
+    ) -> Float[Array, " merged"]:
         """Compute the values (e,) of the matrix of sheet and contact."""
         assert self.matrix is not None
         matrix = self.matrix
         values = jnp.zeros(matrix.indices.shape[0], own.dtype).at[matrix.place].set(own)
 
-        def add(total: Array, arguments: tuple["ContactBlocks", MatrixPairs, Array], at: Array, held: Array):
+        def add(
+            total: Float[Array, " merged"],
+            arguments: tuple["ContactBlocks", MatrixPairs, Float[Array, "triangles 3 3 3 3"]],
+            at: Int[Array, " chunk"],
+            held: Bool[Array, " chunk"],
+        ) -> Float[Array, " merged"]:
             contact, matrix, blocks = arguments
             nodes = contact.nodes[at]
             twice = nodes[:, :3, None] == nodes[:, None, 3:]
@@ -101,7 +120,7 @@ class ContactBlocks(eqx.Module):
         arguments = (self, matrix, self._blocks(appended))
         return accumulate(add, values, arguments, self.count, self.triangles.shape[0], CHUNK)
 
-    def placed(self) -> Array:
+    def placed(self) -> Flag:
         """Return whether all pairs have entries in that matrix; True without such a matrix."""
         if self.matrix is None:
             return jnp.asarray(True)
@@ -109,19 +128,21 @@ class ContactBlocks(eqx.Module):
         found = self.matrix.keys[self._rows(self.matrix, at)] == self._keys(at)
         return jnp.all(found | (at >= self.count))
 
-    def _rows(self, matrix: MatrixPairs, at: Array) -> Array:
+    def _rows(self, matrix: MatrixPairs, at: Int[Array, " chunk"]) -> Int[Array, " chunk"]:
         """Return the rows in `matrix.keys` of the pairs `at` (c,); meaningless for pairs without entries."""
         return jnp.minimum(jnp.searchsorted(matrix.keys, self._keys(at)), matrix.keys.shape[0] - 1)
 
-    def _keys(self, at: Array) -> Array:
+    def _keys(self, at: Int[Array, " chunk"]) -> Int[Array, " chunk"]:
         return pair_key(self.triangles[at], self.n_faces)
 
-    def _blocks(self, appended: Array) -> Array:
+    def _blocks(self, appended: Float[Array, " appended"]) -> Float[Array, "triangles 3 3 3 3"]:
         """Reshape appended values to blocks (t, 3, 3, 3, 3): pair, node of the first and of the second
         triangle, components."""
         return appended[: self.size].reshape(-1, 3, 3, 3, 3)
 
 
-def _kept(blocks: Array, held: Array) -> Array:
+def _kept(
+    blocks: Float[Array, "chunk 3 3 3 3"], held: Bool[Array, " chunk"]
+) -> Float[Array, "chunk 3 3 3 3"]:
     """Set those of `blocks` (c, 3, 3, 3, 3) to zero that are not `held` (c,)."""
     return jnp.where(held[:, None, None, None, None], blocks, 0.0)

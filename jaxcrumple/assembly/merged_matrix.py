@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Int
 
 from jaxcrumple._jax.memory import require, require_indices
 from jaxcrumple.assembly.contact_blocks import SIZE
@@ -17,7 +18,7 @@ ENTRIES = 10
 class Merger:
     """Merge pairs of triangles into the pattern of a sheet."""
 
-    def __init__(self, pattern: Pattern, faces: np.ndarray):
+    def __init__(self, pattern: Pattern, faces: Int[np.ndarray, "faces 3"]) -> None:
         self.n = len(pattern.diagonal) // 3
         self.nnz = pattern.nnz
         self.faces = np.asarray(faces, np.int64)
@@ -28,7 +29,7 @@ class Merger:
         # Entries are numbered by scalar rows, so that the entries of a block are not adjacent.
         self.order = entries.reshape(-1)[self.upper]
 
-    def merge(self, triangles: np.ndarray, capacity: int, spare: float = 1.0) -> MatrixPairs:
+    def merge(self, triangles: Int[np.ndarray, "pairs 2"], capacity: int, spare: float = 1.0) -> MatrixPairs:
         """Build the structure for the sorted pairs `triangles` (c, 2), with room for `capacity` pairs.
 
         If `spare` times the pairs, or the entries that they add, exceed the capacity, it is doubled until it

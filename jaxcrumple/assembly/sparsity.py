@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxcrumple._jax.memory import require, require_indices
 from jaxcrumple.assembly.coarse_space import CoarseSpace, build_coarse_space
@@ -36,18 +36,18 @@ class Pattern(eqx.Module):
       the `nnz` values of the sheet; a diagonal (n,) follows them, see `separate`.
     """
 
-    indptr: Array
-    indices: Array
-    rows: Array
-    diagonal: Array
-    entry_places: Array
-    node_blocks: Array
-    element_blocks: tuple[Array, ...]
-    element_flips: tuple[Array, ...]
-    neighbors: Array
-    row_entries: Array
+    indptr: Int[Array, " starts"]
+    indices: Int[Array, " entries"]
+    rows: Int[Array, " entries"]
+    diagonal: Int[Array, " components"]
+    entry_places: Int[Array, " entries"]
+    node_blocks: Int[Array, " nodes"]
+    element_blocks: tuple[Int[Array, "_pairs _elements"], ...]
+    element_flips: tuple[Bool[Array, "_pairs _elements"], ...]
+    neighbors: Int[Array, "nodes neighbors"]
+    row_entries: Int[Array, "nodes 3 3*neighbors"]
     coarse: CoarseSpace
-    face_blocks: Array | None = None
+    face_blocks: Int[Array, "faces 6"] | None = None
     contact: ContactBlocks | None = None
 
     @property
@@ -60,7 +60,11 @@ class Pattern(eqx.Module):
         """Return the length of the vector of values: those of the sheet, then those of contact."""
         return self.nnz + (0 if self.contact is None else self.contact.size + len(self.node_blocks))
 
-    def assemble(self, element_blocks: Sequence[Array], node_blocks: Array) -> Array:
+    def assemble(
+        self,
+        element_blocks: Sequence[Float[Array, "_pairs 3 3 _elements"]],
+        node_blocks: Float[Array, "nodes 3 3"],
+    ) -> Float[Array, "blocks 9"]:
         """Sum the blocks of elements (pairs, 3, 3, m), one array per stencil, and of nodes (n, 3, 3).
 
         Returns the sheet's blocks (b, 9)."""
@@ -75,11 +79,13 @@ class Pattern(eqx.Module):
             total = total.at[places.reshape(-1)].add(windows)
         return total
 
-    def values(self, blocks: Array) -> Array:
+    def values(self, blocks: Float[Array, "blocks 9"]) -> Float[Array, " entries"]:
         """Return the entries (nnz,) of the sheet's blocks (b, 9)."""
         return blocks.reshape(-1)[self.entry_places]
 
-    def product(self, values: Array, x: Array) -> Array:
+    def product(
+        self, values: Float[Array, " values"], x: Float[Array, " components"]
+    ) -> Float[Array, " components"]:
         """Multiply the symmetric matrix by a vector (3n,)."""
         own = values[: self.nnz]
         upper = jnp.zeros_like(x).at[self.rows].add(own * x[self.indices], indices_are_sorted=True)
@@ -87,7 +93,7 @@ class Pattern(eqx.Module):
         product = upper.at[self.indices].add(strict * x[self.rows])
         return product + self.contact_product(values, x)
 
-    def separate(self, values: Array) -> Array:
+    def separate(self, values: Float[Array, " values"]) -> Float[Array, " entries"]:
         """Return the sheet's entries (nnz,) without the negative stiffness of contact, for preconditioners.
 
         A compressed pair adds negative transverse stiffness. Without the contact blocks it would make the
@@ -97,22 +103,28 @@ class Pattern(eqx.Module):
             return own
         return own.at[self.diagonal].add(jnp.repeat(self.contact.lift(values[self.nnz :]), 3))
 
-    def expand(self, values: Array) -> Array:
+    def expand(self, values: Float[Array, " values"]) -> Float[Array, "nodes 3 columns"]:
         """Return the sheet's rows of 3x3 blocks (n, 3, 3k), both triangles, for repeated products."""
         return values[: self.nnz].at[self.row_entries].get(mode="fill", fill_value=0.0)
 
-    def expanded_product(self, rows: Array, x: Array) -> Array:
+    def expanded_product(
+        self, rows: Float[Array, "nodes 3 columns"], x: Float[Array, " 3*nodes"]
+    ) -> Float[Array, " 3*nodes"]:
         """Multiply the sheet's matrix, in the form of `expand`, by a vector (3n,)."""
         gathered = x.reshape(-1, 3)[self.neighbors].reshape(rows.shape[0], -1)
         return jnp.einsum("nas,ns->na", rows, gathered).reshape(-1)
 
-    def contact_product(self, values: Array, x: Array) -> Array | float:
+    def contact_product(
+        self, values: Float[Array, " values"], x: Float[Array, " components"]
+    ) -> Float[Array, " components"] | float:
         """Multiply the blocks between triangles in contact by a vector (3n,); 0 without contact."""
         return 0.0 if self.contact is None else self.contact.product(values[self.nnz :], x)
 
 
 def build_pattern(
-    rest: np.ndarray, stencils: Sequence[np.ndarray], faces: np.ndarray | None = None
+    rest: Float[np.ndarray, "nodes 3"],
+    stencils: Sequence[Int[np.ndarray, "_elements _corners"]],
+    faces: Int[np.ndarray, "faces 3"] | None = None,
 ) -> Pattern:
     """Build the pattern of a tangent whose elements couple the nodes of each row of `stencils` (m, k).
 
@@ -133,7 +145,7 @@ def build_pattern(
     order = np.repeat(np.arange(3 * n), counts)
     indices = _column_indices(entries, block_col, indptr[-1])
 
-    def locate(pairs: np.ndarray) -> np.ndarray:
+    def locate(pairs: Int[np.ndarray, "*axes 2"]) -> Int[np.ndarray, " *axes"]:
         """Return the block numbers (...) of node pairs (..., 2)."""
         return np.searchsorted(keys, pairs.min(axis=-1).astype(np.int64) * n + pairs.max(axis=-1))
 
@@ -145,7 +157,7 @@ def build_pattern(
 
     neighbors, row_entries = _rows(n, block_row, block_col, entries)
 
-    def device(a: np.ndarray) -> Array:
+    def device(a: Int[np.ndarray, " *axes"]) -> Int[Array, " *axes"]:
         return jnp.asarray(a.astype(np.int32))
 
     return Pattern(
@@ -157,7 +169,7 @@ def build_pattern(
     )  # fmt: skip
 
 
-def _check_size(n: int, block_row: np.ndarray, block_col: np.ndarray) -> None:
+def _check_size(n: int, block_row: Int[np.ndarray, " blocks"], block_col: Int[np.ndarray, " blocks"]) -> None:
     """Reject a tangent that is too large, alone or because one node has too many neighbours.
 
     All rows are padded to the longest one."""
@@ -169,13 +181,15 @@ def _check_size(n: int, block_row: np.ndarray, block_col: np.ndarray) -> None:
     require(ENTRY * 9.0 * len(block_row) + 16.0 * 9.0 * n * longest, what, cure)
 
 
-def _global_pairs(stencil: np.ndarray) -> np.ndarray:
+def _global_pairs(stencil: Int[np.ndarray, "elements corners"]) -> Int[np.ndarray, "pairs elements 2"]:
     """Return the node pairs (pairs, m, 2) of every element."""
     stencil = np.asarray(stencil)
     return np.stack([stencil[:, list(pair)] for pair in upper_pairs(stencil.shape[1])])
 
 
-def scalar_entries(n: int, block_row: np.ndarray, block_col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def scalar_entries(
+    n: int, block_row: Int[np.ndarray, " blocks"], block_col: Int[np.ndarray, " blocks"]
+) -> tuple[Int[np.ndarray, "blocks 3 3"], Int[np.ndarray, " components"]]:
     """Number the scalar entries of the upper blocks; also return the number of entries of each scalar row.
 
     Entries below the diagonal get the total number of entries."""
@@ -192,7 +206,9 @@ def scalar_entries(n: int, block_row: np.ndarray, block_col: np.ndarray) -> tupl
     return np.where(below, counts.sum(), entries), counts
 
 
-def _column_indices(entries: np.ndarray, block_col: np.ndarray, nnz: int) -> np.ndarray:
+def _column_indices(
+    entries: Int[np.ndarray, "blocks 3 3"], block_col: Int[np.ndarray, " blocks"], nnz: int
+) -> Int[np.ndarray, " entries"]:
     columns = np.broadcast_to(3 * block_col[:, None, None] + np.arange(3), entries.shape)
     indices = np.empty(nnz + 1, dtype=np.int64)
     indices[entries.reshape(-1)] = columns.reshape(-1)
@@ -200,8 +216,11 @@ def _column_indices(entries: np.ndarray, block_col: np.ndarray, nnz: int) -> np.
 
 
 def _rows(
-    n: int, block_row: np.ndarray, block_col: np.ndarray, entries: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    n: int,
+    block_row: Int[np.ndarray, " blocks"],
+    block_col: Int[np.ndarray, " blocks"],
+    entries: Int[np.ndarray, "blocks 3 3"],
+) -> tuple[Int[np.ndarray, "nodes neighbors"], Int[np.ndarray, "nodes 3 3*neighbors"]]:
     """Compute `neighbors` and `row_entries` of a `Pattern` from its upper blocks."""
     off = block_row != block_col
     row = np.concatenate([block_row, block_col[off]])

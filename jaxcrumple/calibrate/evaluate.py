@@ -12,8 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-from jax import Array
-from numpy.typing import ArrayLike
+from jaxtyping import Array, ArrayLike, Float
 
 from jaxcrumple.calibrate.experiment import Experiment, Values, count_residuals, difference, fingerprint
 from jaxcrumple.io.atomic import refusal, write_bytes
@@ -23,6 +22,8 @@ from jaxcrumple.solvers.scheme import Integrator
 
 # Result of a run that ended at its budget. The file does not store it: a larger budget may continue the run.
 BUDGET = "budget"
+
+_Residuals = Callable[[Record, Float[Array, " parameters"]], Float[Array, " residuals"]]
 
 
 class Evaluations:
@@ -38,7 +39,7 @@ class Evaluations:
         self,
         experiment: Experiment,
         decoded: Callable[[Any], Values],
-        start: np.ndarray,
+        start: Float[np.ndarray, " parameters"],
         scales: Mapping[str, bool],
         solver: Integrator | None,
         max_attempts: int | None,
@@ -50,35 +51,35 @@ class Evaluations:
         self.size = count_residuals(experiment, decoded(start))
         self.rows: list[dict[str, Any]] = []
         self.told: set[tuple[str, str]] = set()
-        self.known: dict[tuple[str, str], np.ndarray] = {}
+        self.known: dict[tuple[str, str], Float[np.ndarray, " ..."]] = {}
         self.last: tuple[str, Record | None] = ("", None)
         self.failures: dict[str, str] = {}
         self._snaps: dict[str, int] = {}
         if path is not None:
             self._open(path, start)
 
-    def residuals(self, u: np.ndarray) -> np.ndarray:
+    def residuals(self, u: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " residuals"]:
         """Return the residuals (m,) at encoded parameters; all are infinite if the run fails."""
         return self._once("residuals", u, self._run)
 
-    def jacobian(self, u: np.ndarray) -> np.ndarray:
+    def jacobian(self, u: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, "residuals parameters"]:
         """Return the Jacobian (m, k) of the residuals with respect to encoded parameters, in forward mode."""
         return self._once("jacobian", u, lambda u: _jacobian(self._recorded(u), jnp.asarray(u), self._frozen))
 
-    def gradient(self, u: np.ndarray) -> np.ndarray:
+    def gradient(self, u: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " parameters"]:
         """Return the gradient (k,) of half the sum of squares, in reverse mode."""
         return self._once("gradient", u, lambda u: _gradient(self._recorded(u), jnp.asarray(u), self._frozen))
 
-    def trouble(self, u: np.ndarray) -> str:
+    def trouble(self, u: Float[np.ndarray, " parameters"]) -> str:
         """Describe where and how the run at encoded parameters failed."""
         return f"the run at {self._told(u)} fails: {self.failures[_key(u)]}"
 
-    def nearest_failure(self, u: np.ndarray) -> np.ndarray | None:
+    def nearest_failure(self, u: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " parameters"] | None:
         """Return the encoded parameters of the failed run nearest to `u`; None if no run failed."""
         failed = [np.frombuffer(bytes.fromhex(key)) for key in self.failures]
         return min(failed, key=lambda other: float(np.linalg.norm(other - u)), default=None)
 
-    def snaps(self, u: np.ndarray) -> int:
+    def snaps(self, u: Float[np.ndarray, " parameters"]) -> int:
         """Return the number of snaps in the run at encoded parameters."""
         return self._snaps[_key(u)]
 
@@ -88,7 +89,7 @@ class Evaluations:
         seconds."""
         return pd.DataFrame(self.rows, columns=["kind", *self.scales, "loss", "snaps", "seconds"])
 
-    def _run(self, u: np.ndarray) -> np.ndarray:
+    def _run(self, u: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " residuals"]:
         """Return the residuals (m,). If the run fails, record the cause and return infinite residuals."""
         self.last = (_key(u), None)
         try:
@@ -105,7 +106,7 @@ class Evaluations:
             return np.full(self.size, np.inf)
         return found
 
-    def _residuals(self, u: np.ndarray) -> tuple[np.ndarray, str]:
+    def _residuals(self, u: Float[np.ndarray, " parameters"]) -> tuple[Float[np.ndarray, " residuals"], str]:
         """Return the residuals (m,) and an empty text, or no residuals and the cause of the failure."""
         scene, state = self.experiment.start(self.decoded(u))
         times, attempts = self.experiment.times, self.max_attempts
@@ -120,18 +121,23 @@ class Evaluations:
         found = self.experiment.residuals(Replay(jnp.asarray(solution.t), x, v, p, jnp.zeros(())))
         return np.asarray(found), ""
 
-    def _recorded(self, u: np.ndarray) -> Record:
+    def _recorded(self, u: Float[np.ndarray, " parameters"]) -> Record:
         if self.last[0] != _key(u):
             self._run(u)
         record = self.last[1]
         assert record is not None
         return record
 
-    def _frozen(self, record: Record, u: Array) -> Array:
+    def _frozen(self, record: Record, u: Float[Array, " parameters"]) -> Float[Array, " residuals"]:
         scene, state = self.experiment.start(self.decoded(u))
         return self.experiment.residuals(replay(scene, record, state, solve=False))
 
-    def _once(self, kind: str, u: np.ndarray, evaluate: Callable[[np.ndarray], ArrayLike]) -> np.ndarray:
+    def _once(
+        self,
+        kind: str,
+        u: Float[np.ndarray, " parameters"],
+        evaluate: Callable[[Float[np.ndarray, " parameters"]], Float[ArrayLike, " ..."]],
+    ) -> Float[np.ndarray, " ..."]:
         known = self.known.get((kind, _key(u)))
         if known is not None:
             self._tell(kind, u, known, 0.0)
@@ -154,7 +160,9 @@ class Evaluations:
                 file.write(_sealed(line))
         return value
 
-    def _tell(self, kind: str, u: np.ndarray, value: np.ndarray, seconds: float) -> None:
+    def _tell(
+        self, kind: str, u: Float[np.ndarray, " parameters"], value: Float[np.ndarray, " ..."], seconds: float
+    ) -> None:
         """Add an evaluation to the history unless it is already there."""
         if (kind, _key(u)) in self.told:
             return
@@ -165,11 +173,11 @@ class Evaluations:
         self.rows.append({"kind": kind, **values, **spent})
         self.tell(self.rows[-1])
 
-    def _told(self, u: np.ndarray) -> str:
+    def _told(self, u: Float[np.ndarray, " parameters"]) -> str:
         """Format the parameters as text."""
         return ", ".join(f"{name} = {float(value):.6g}" for name, value in self.decoded(u).items())
 
-    def _open(self, path: Path, start: np.ndarray) -> None:
+    def _open(self, path: Path, start: Float[np.ndarray, " parameters"]) -> None:
         """Read the evaluations of an existing file, or create the file."""
         if path.is_dir():
             raise ValueError(f"{path} is a folder; a fit is kept in a file.")
@@ -232,15 +240,19 @@ def _unsealed(path: Path, number: int, line: str) -> dict[str, Any]:
     return whole["contents"]
 
 
-def _key(u: np.ndarray) -> str:
+def _key(u: Float[np.ndarray, " parameters"]) -> str:
     return np.asarray(u, float).tobytes().hex()
 
 
 @eqx.filter_jit
-def _jacobian(record: Record, u: Array, residuals: Callable[[Record, Array], Array]) -> Array:
+def _jacobian(
+    record: Record, u: Float[Array, " parameters"], residuals: _Residuals
+) -> Float[Array, "residuals parameters"]:
     return jax.jacfwd(lambda u: residuals(record, u))(u)
 
 
 @eqx.filter_jit
-def _gradient(record: Record, u: Array, residuals: Callable[[Record, Array], Array]) -> Array:
+def _gradient(
+    record: Record, u: Float[Array, " parameters"], residuals: _Residuals
+) -> Float[Array, " parameters"]:
     return jax.grad(lambda u: 0.5 * jnp.sum(residuals(record, u) ** 2))(u)

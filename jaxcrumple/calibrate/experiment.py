@@ -7,13 +7,12 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import Array
-from numpy.typing import ArrayLike
+from jaxtyping import Array, ArrayLike, Float
 
 from jaxcrumple.io.sketch import alike, sketch
 from jaxcrumple.replay import Replay
 from jaxcrumple.scene import Scene
-from jaxcrumple.simulate import checked_times
+from jaxcrumple.simulate import Times, checked_times
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import State
 
@@ -32,8 +31,8 @@ class Experiment(NamedTuple):
     """
 
     setup: Callable[[Values], tuple[Scene, State]]
-    times: ArrayLike
-    residuals: Callable[[Replay], Array]
+    times: Times
+    residuals: Callable[[Replay], Float[Array, " residuals"]]
 
     def start(self, values: Values) -> tuple[Scene, State]:
         """Return the scene and the initial state at given parameter values.
@@ -57,7 +56,7 @@ class Experiment(NamedTuple):
             )
         return made
 
-    def at_start(self, values: Values) -> Array:
+    def at_start(self, values: Values) -> Float[ArrayLike, " residuals"]:
         """Return the residuals (m,) of a sheet that does not move from its start."""
         _, state = self.start(values)
         times = jnp.asarray(checked_times(self.times))

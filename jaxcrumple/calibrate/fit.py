@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pandas as pd
-from jax import Array
+from jaxtyping import ArrayLike, Float
 from scipy.optimize import brentq, least_squares
 
 from jaxcrumple._jax.door import door
@@ -26,6 +26,9 @@ BARRED = 10.0
 # Condition number of the Jacobian above which the data do not determine the parameters: its square, the
 # condition of the normal equations, then reaches 1 over the rounding error.
 UNDETERMINED = 1e8
+
+# Encoded parameters, whether they are a minimum, and why the search ended.
+_Found = tuple[Float[np.ndarray, " parameters"], bool, str]
 
 
 class Parameter(NamedTuple):
@@ -54,10 +57,10 @@ class Fit:
 
     values: dict[str, float]
     std: dict[str, float]
-    covariance: np.ndarray
+    covariance: Float[np.ndarray, "parameters parameters"]
     condition: float
     loss: float
-    residuals: np.ndarray
+    residuals: Float[np.ndarray, " residuals"]
     snaps: int
     history: pd.DataFrame
     success: bool
@@ -208,12 +211,12 @@ class _Code:
         encoded = np.where(self.log[:, None], np.log(np.where(self.log[:, None], rows, 1.0)), rows)
         self.start, self.lower, self.upper = encoded.T
 
-    def decoded(self, u: Array | np.ndarray) -> Values:
+    def decoded(self, u: Float[ArrayLike, " parameters"]) -> Values:
         """Return the parameter values by name."""
         powers = jnp.exp(jnp.where(self.log, u, 0.0))
         return dict(zip(self.parameters, jnp.where(self.log, powers, u), strict=True))
 
-    def at_bound(self, u: np.ndarray, rtol: float) -> str:
+    def at_bound(self, u: Float[np.ndarray, " parameters"], rtol: float) -> str:
         """Name a parameter that lies at a bound; empty if none does."""
         for index, (name, own) in enumerate(self.parameters.items()):
             near = rtol * (self.upper[index] - self.lower[index])
@@ -223,7 +226,7 @@ class _Code:
         return ""
 
 
-def _least_squares(evaluations: Evaluations, code: _Code, max_steps: int, rtol: float):
+def _least_squares(evaluations: Evaluations, code: _Code, max_steps: int, rtol: float) -> _Found:
     found = least_squares(
         evaluations.residuals,
         code.start,
@@ -244,7 +247,7 @@ def _least_squares(evaluations: Evaluations, code: _Code, max_steps: int, rtol: 
     return found.x, bool(found.success), found.message
 
 
-def _root(evaluations: Evaluations, code: _Code, max_steps: int, rtol: float):
+def _root(evaluations: Evaluations, code: _Code, max_steps: int, rtol: float) -> _Found:
     """Step by GROWTH from the start in the direction in which the residual falls, until it changes sign; then
     apply Brent's method."""
 
@@ -265,7 +268,9 @@ def _root(evaluations: Evaluations, code: _Code, max_steps: int, rtol: float):
     return np.array([far]), False, "the steps are used up."
 
 
-def _descent(evaluations: Evaluations, code: _Code, method: optax.GradientTransformation, steps: int, rtol):
+def _descent(
+    evaluations: Evaluations, code: _Code, method: optax.GradientTransformation, steps: int, rtol: float
+) -> _Found:
     u = jnp.asarray(code.start)
     memory, best = method.init(u), (np.inf, code.start)
     for _ in range(steps):
@@ -282,7 +287,14 @@ def _descent(evaluations: Evaluations, code: _Code, method: optax.GradientTransf
     return best[1], False, "the steps are used up."
 
 
-def _result(evaluations: Evaluations, code: _Code, u, scaled: bool, success: bool, message: str) -> Fit:
+def _result(
+    evaluations: Evaluations,
+    code: _Code,
+    u: Float[np.ndarray, " parameters"],
+    scaled: bool,
+    success: bool,
+    message: str,
+) -> Fit:
     residuals, jacobian = evaluations.residuals(u), evaluations.jacobian(u)
     spread = float(residuals @ residuals) / (len(residuals) - len(u)) if scaled else 1.0
     condition = float(np.linalg.cond(jacobian))

@@ -9,14 +9,17 @@ from typing import Any, Literal, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
+from jaxtyping import Array, Float
 
 from jaxcrumple._jax.door import door
-from jaxcrumple.calibrate.experiment import Experiment
+from jaxcrumple.calibrate.experiment import Experiment, Values
 from jaxcrumple.calibrate.fit import Fit, Parameter, fit
 from jaxcrumple.material.material import Material
+from jaxcrumple.replay import Replay
+from jaxcrumple.scene import Scene
 from jaxcrumple.scenes.fold import TIMES, default_gap, fold, fold_angle
 from jaxcrumple.solvers.scheme import Integrator, integrator
-from jaxcrumple.state import initial_state
+from jaxcrumple.state import State, initial_state
 
 YIELD = "yield_curvature"
 # Initial guess of the yield curvature times the gap, at which a fold retains about 100 degrees; bounds of the
@@ -82,11 +85,11 @@ def calibrate_fold(
     own = replace(material or Material(), yield_c0=None, yield_curvature=start.start)
     setup = fold(nodes, seed, gap=gap, material=own)
 
-    def run(values):
+    def run(values: Values) -> tuple[Scene, State]:
         scene = setup.made_of(replace(own, yield_curvature=values[YIELD]))
         return scene, initial_state(scene, setup.x)
 
-    def residuals(frames):
+    def residuals(frames: Replay) -> Float[Array, " 1"]:
         return jnp.atleast_1d((fold_angle(setup.mesh, frames.x[-1]) - angle) / std)
 
     experiment = Experiment(run, [TIMES.release, TIMES.end], residuals)

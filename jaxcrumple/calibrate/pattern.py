@@ -6,15 +6,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from jaxtyping import Array, ArrayLike, Float, Real
 
+from jaxcrumple._jax.arrays import ScalarLike
 from jaxcrumple._jax.door import door
-from jaxcrumple.calibrate.experiment import Experiment
+from jaxcrumple.calibrate.experiment import Experiment, Values
 from jaxcrumple.calibrate.fit import Fit, Parameter, fit
+from jaxcrumple.scene import Scene
 from jaxcrumple.scenes.setup import Setup
-from jaxcrumple.simulate import checked_times
+from jaxcrumple.simulate import Times, checked_times
 from jaxcrumple.solvers.scheme import Integrator
-from jaxcrumple.state import initial_state
+from jaxcrumple.state import State, initial_state
 
 # Root mean square of the residuals, in standard deviations, above which a minimum is not the global one.
 WRONG = 2.0
@@ -23,11 +25,11 @@ WRONG = 2.0
 @door
 def calibrate_pattern(
     setup: Setup,
-    times: ArrayLike,
-    patterns: ArrayLike,
+    times: Times,
+    patterns: Real[ArrayLike, "times hinges"],
     parameters: Mapping[str, Parameter],
     *,
-    std: ArrayLike,
+    std: Real[ArrayLike, "times hinges"] | ScalarLike,
     solver: Integrator | None = None,
     checkpoint: str | Path | None = None,
     tell: Callable[[Mapping[str, Any]], None] = lambda row: None,
@@ -78,11 +80,11 @@ def calibrate_pattern(
                 f"{name!r} is no number of this material; choose e.g. yield_curvature or thickness."
             )
 
-    def run(values):
+    def run(values: Values) -> tuple[Scene, State]:
         scene = setup.made_of(replace(material, **values))
         return scene, initial_state(scene, setup.x)
 
-    def residuals(frames):
+    def residuals(frames: Any) -> Float[Array, " residuals"]:
         return ((frames.p - seen) / deviation).reshape(-1)
 
     experiment = Experiment(run, moments, residuals)

@@ -1,7 +1,8 @@
 """Command `jaxcrumple calibrate`."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -70,7 +71,7 @@ def calibrate_by_fold(
         raise ValueError(f"found no yield curvature at which the fold retains {target_angle:g} degrees.")
 
 
-def _tell_evaluation(row) -> None:
+def _tell_evaluation(row: Mapping[str, Any]) -> None:
     """Print one line for each new run of a fit."""
     if row["kind"] == "residuals" and row["seconds"] > 0.0:
         value, loss, seconds = row["yield_curvature"], row["loss"], row["seconds"]

@@ -13,6 +13,8 @@ from jaxcrumple.cli.calibrate import calibrations
 from jaxcrumple.cli.console import ENDED, check_place, console, keep_programs, noted, run_program, say
 
 if TYPE_CHECKING:
+    from pydantic import BaseModel
+
     from jaxcrumple.run.config import RunConfig
 
 app = typer.Typer(
@@ -235,7 +237,7 @@ def sweep(
         )
     write_bytes(path, bytes(table.to_netcdf(engine="scipy")))
     say(f"{table.result.size} runs in {table.attrs['seconds']:.0f} s: {path}")
-    _all_must_succeed((table.result == "success").all())
+    _all_must_succeed(bool((table.result == "success").all()))
 
 
 @app.command()
@@ -256,7 +258,7 @@ def campaign(
     with noted(lambda: f"what was saved is kept in {folder}; go on with the same command"):
         table = campaign(runs, folder, cluster=scheduler, max_seconds=limit, tell=_tell_case)
     say(f"{len(table)} runs: {folder / 'campaign.csv'}")
-    _all_must_succeed((table["result"] == "success").all())
+    _all_must_succeed(bool((table["result"] == "success").all()))
 
 
 @app.command()
@@ -283,7 +285,7 @@ def _tell_case(name: str, result: str) -> None:
     say(f"{name}: {result}")
 
 
-def _all_must_succeed(success) -> None:
+def _all_must_succeed(success: bool) -> None:
     if not success:
         raise typer.Exit(ENDED)
 
@@ -313,7 +315,7 @@ def scenes(
     _print_options(SolverOptions)
 
 
-def _print_options(model) -> None:
+def _print_options(model: "type[BaseModel]") -> None:
     options = ", ".join(f"{name}={field.default}" for name, field in model.model_fields.items())
     console.print(f"  {model.__doc__}\n    {options}", markup=False)
 

@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Bool, Float, Int
 
+from jaxcrumple._jax.arrays import Count, NodeVectors, Scalar
 from jaxcrumple._jax.padded import compacted
 from jaxcrumple.contact.lists import ActiveSet, ContactLists, Reference, SitePairs
 from jaxcrumple.contact.parameters import Contact
@@ -29,7 +30,7 @@ def find_active(contact: Contact, lists: ContactLists, reference: Reference) -> 
     return ActiveSet(reference, places, count, *close)
 
 
-def likely(contact: Contact, lists: ContactLists, x: Array) -> tuple[Array, Array]:
+def likely(contact: Contact, lists: ContactLists, x: NodeVectors) -> tuple[Int[Array, " pairs"], Count]:
     """Return a superset (P,) of the site pairs that interact at positions `x` (n, 3), and its size.
 
     Entries are places in `lists.pairs`. An active set, if present, is returned as it is.
@@ -39,7 +40,9 @@ def likely(contact: Contact, lists: ContactLists, x: Array) -> tuple[Array, Arra
     return _roughly(contact, lists.pairs, x, contact.range)
 
 
-def interacting(contact: Contact, lists: ContactLists, x: Array, nearer: float = 1.0) -> tuple[Array, Array]:
+def interacting(
+    contact: Contact, lists: ContactLists, x: NodeVectors, nearer: float = 1.0
+) -> tuple[Int[Array, " pairs"], Count]:
     """Return the site pairs (P,) that interact at positions `x` (n, 3), and how many there are.
 
     `nearer` multiplies the distances. The result does not depend on when the lists were built.
@@ -49,7 +52,9 @@ def interacting(contact: Contact, lists: ContactLists, x: Array, nearer: float =
     return _sifted(contact, lists.pairs, x, rough, limit)
 
 
-def may_touch(contact: Contact, lists: ContactLists, *positions: Array) -> tuple[Array, Array]:
+def may_touch(
+    contact: Contact, lists: ContactLists, *positions: NodeVectors
+) -> tuple[Int[Array, " triangles"], Count]:
     """Return a superset (T,) of the pairs of triangles that may touch, and its size.
 
     Nodes move between `positions` (n, 3). Entries are places in `SitePairs.triangles`.
@@ -59,7 +64,7 @@ def may_touch(contact: Contact, lists: ContactLists, *positions: Array) -> tuple
     return _within(lists.pairs, lists.pairs.approach(contact.faces, *positions))
 
 
-def _within(pairs: SitePairs, moves: Array) -> tuple[Array, Array]:
+def _within(pairs: SitePairs, moves: Float[Array, " triangles"]) -> tuple[Int[Array, " triangles"], Count]:
     """Return the places (T,) of pairs of triangles that may touch if they approach by `moves` (T,) m, and how
     many there are."""
     return compacted(
@@ -68,7 +73,9 @@ def _within(pairs: SitePairs, moves: Array) -> tuple[Array, Array]:
     )  # fmt: skip
 
 
-def _roughly(contact: Contact, pairs: SitePairs, x: Array, limit: Array) -> tuple[Array, Array]:
+def _roughly(
+    contact: Contact, pairs: SitePairs, x: NodeVectors, limit: Scalar | Float[Array, " triangles"]
+) -> tuple[Int[Array, " pairs"], Count]:
     """Return the site pairs that may be closer than `limit` in m, () or (T,), at positions `x` (n, 3).
 
     The bound uses the distances at the last rebuild and how far the triangles have moved since. It rejects
@@ -77,20 +84,24 @@ def _roughly(contact: Contact, pairs: SitePairs, x: Array, limit: Array) -> tupl
     contact, pairs, x, limit = jax.lax.stop_gradient((contact, pairs, x, limit))
     reach = limit + pairs.approach(contact.faces, x)
 
-    def may(at: Array) -> Array:
+    def may(at: Int[Array, " chunk"]) -> Bool[Array, "chunk 1"]:
         return (pairs.apart[at] < reach[pairs.owner[at]])[:, None]
 
     return compacted(may, pairs.count, 1, pairs.capacity.pairs, LISTED)
 
 
 def _sifted(
-    contact: Contact, pairs: SitePairs, x: Array, rough: tuple[Array, Array], limit: Array
-) -> tuple[Array, Array]:
+    contact: Contact,
+    pairs: SitePairs,
+    x: NodeVectors,
+    rough: tuple[Int[Array, " pairs"], Count],
+    limit: Scalar | Float[Array, " triangles"],
+) -> tuple[Int[Array, " pairs"], Count]:
     """Return the pairs of `rough` that are closer than `limit` by their current distance."""
     contact, pairs, x, limit = jax.lax.stop_gradient((contact, pairs, x, limit))
     places, count = rough
 
-    def close(at: Array) -> Array:
+    def close(at: Int[Array, " chunk"]) -> Bool[Array, "chunk 1"]:
         terms = pair_terms(contact, pairs, places[at], jnp.ones_like(at, bool))
         most = limit if limit.ndim == 0 else limit[terms.owner]
         return (separation(terms, x)[1] < most)[:, None]
@@ -106,13 +117,15 @@ class PairTerms(NamedTuple):
     `SitePairs.triangles`.
     """
 
-    nodes: Array
-    weights: Array
-    strength: Array
-    owner: Array
+    nodes: Int[Array, "pairs 6"]
+    weights: Float[Array, "pairs 6"]
+    strength: Float[Array, " pairs"]
+    owner: Int[Array, " pairs"]
 
 
-def pair_terms(contact: Contact, pairs: SitePairs, places: Array, held: Array) -> PairTerms:
+def pair_terms(
+    contact: Contact, pairs: SitePairs, places: Int[Array, " pairs"], held: Bool[Array, " pairs"]
+) -> PairTerms:
     """Return the terms of the site pairs at `places` (p,); those not `held` (p,) get strength 0."""
     owner, first, second = (part[places] for part in (pairs.owner, pairs.first, pairs.second))
     triangles = pairs.triangles[owner]
@@ -125,7 +138,7 @@ def pair_terms(contact: Contact, pairs: SitePairs, places: Array, held: Array) -
     return PairTerms(nodes, weights, jnp.where(held, one * two, 0.0), owner)
 
 
-def separation(terms: PairTerms, x: Array) -> tuple[Array, Array]:
+def separation(terms: PairTerms, x: NodeVectors) -> tuple[Float[Array, "pairs 3"], Float[Array, " pairs"]]:
     """Return $r_{12}$ (p, 3) of (26) in m and its length (p,)."""
     corners = gather(x, terms.nodes)
     parts = [scale(terms.weights[:, k], corner) for k, corner in enumerate(corners)]
@@ -133,7 +146,7 @@ def separation(terms: PairTerms, x: Array) -> tuple[Array, Array]:
     return jnp.stack(r, axis=1), jnp.sqrt(dot(r, r) + TINY)
 
 
-def with_push(forces: Array, terms: PairTerms, push: Array) -> Array:
+def with_push(forces: NodeVectors, terms: PairTerms, push: Float[Array, "pairs 3"]) -> NodeVectors:
     """Add to nodal `forces` (n, 3) the force `push` (p, 3) on the first site of each pair and its reaction on
     the second."""
     return forces.at[terms.nodes].add(terms.weights[:, :, None] * push[:, None])

@@ -1,12 +1,14 @@
 """Pairs of triangles that share a node, and the hinges that must fold before the two can touch."""
 
 import itertools
+from collections.abc import Iterator
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Array, Bool, Float, Int
 
+from jaxcrumple._jax.arrays import Count, HingeValues, Scalar
 from jaxcrumple._jax.memory import require
 from jaxcrumple.mesh.mesh import Mesh
 
@@ -30,12 +32,12 @@ class Fans(eqx.Module):
     - `longest`: largest number of hinges on a way.
     """
 
-    triangles: Array
-    hinges: Array
-    ends: Array
-    longest: Array
+    triangles: Int[Array, "ways 2"]
+    hinges: Int[Array, "nodes around"]
+    ends: Int[Array, "ways 2"]
+    longest: Count
 
-    def turning(self, theta: Array) -> Array:
+    def turning(self, theta: HingeValues) -> Float[Array, " ways"]:
         """Return the total turn (w,) in rad along each way, for hinge angles `theta` (h,) in rad."""
         angles = jnp.append(jnp.abs(theta), 0.0)
         # One cumulative sum around a node serves all its ways, about thirty.
@@ -47,7 +49,7 @@ class Fans(eqx.Module):
         return sums[self.ends[:, 1]] - sums[self.ends[:, 0]]
 
 
-def largest_turn(turning: Array, left_out: Array) -> Array:
+def largest_turn(turning: Float[Array, " ways"], left_out: Bool[Array, " ways"]) -> Scalar:
     """Return the largest of the turns `turning` (w,) in rad, without the ways flagged in `left_out` (w,)."""
     return jnp.max(jnp.where(left_out, 0.0, turning), initial=0.0)
 
@@ -91,7 +93,7 @@ def build_fans(mesh: Mesh) -> Fans:
     return Fans(*(jnp.asarray(part, jnp.int32) for part in (triangles, hinges, places, longest)))
 
 
-def _corner_angles(mesh: Mesh) -> np.ndarray:
+def _corner_angles(mesh: Mesh) -> Float[np.ndarray, "faces 3"]:
     """Return the corner angles (f, 3) in rad of the triangles at rest."""
     x = mesh.vertices[mesh.faces]
     one, two = np.roll(x, -1, axis=1) - x, np.roll(x, 1, axis=1) - x
@@ -106,7 +108,7 @@ def _hinge_table(mesh: Mesh) -> dict[tuple[int, int], int]:
     return table
 
 
-def _fans(mesh: Mesh, angles: np.ndarray):
+def _fans(mesh: Mesh, angles: Float[np.ndarray, "faces 3"]) -> Iterator[tuple[list[int], list[float], bool]]:
     """Yield for each node the triangles around it in order, their angles there in rad, and whether the fan is
     closed."""
     # In a triangle written as (i, j, k), the next triangle in the fan of i lies across the edge (i, k).

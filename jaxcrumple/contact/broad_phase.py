@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Bool, Float, Int
 
+from jaxcrumple._jax.arrays import Count, HingeValues, NodeVectors, Scalar
 from jaxcrumple._jax.padded import compacted, counted
 from jaxcrumple.contact.adjacency import LISTED_TURN, largest_turn
 from jaxcrumple.contact.lists import EXCLUSION, NONE, CandidatePairs, Reference, pair_key
@@ -34,17 +35,17 @@ class _Grid(NamedTuple):
     number of pairs up to the end of the run. Unused runs hold no pairs.
     """
 
-    order: Array
-    owner: Array
-    before: Array
-    until: Array
+    order: Int[Array, " faces"]
+    owner: Int[Array, " runs"]
+    before: Int[Array, " runs"]
+    until: Int[Array, " runs"]
 
     @property
-    def pairs(self) -> Array:
+    def pairs(self) -> Count:
         """Return the number of pairs."""
         return self.until[-1]
 
-    def places(self, pair: Array) -> tuple[Array, Array]:
+    def places(self, pair: Int[Array, " pairs"]) -> tuple[Int[Array, " pairs"], Int[Array, " pairs"]]:
         """Return the places (m,) in `order` of both triangles of pairs `pair` (m,), numbered in sequence."""
         width = pair.shape[0]
         # Comparisons instead of a search loop, so that XLA merges two equal calls into one.
@@ -57,7 +58,9 @@ class _Grid(NamedTuple):
         return self.owner[run], partner
 
 
-def find_candidates(contact: Contact, theta: Array, reference: Reference, capacity: int) -> CandidatePairs:
+def find_candidates(
+    contact: Contact, theta: HingeValues, reference: Reference, capacity: int
+) -> CandidatePairs:
     """Find the pairs of triangles that may come within the range during the motions `reference`.
 
     `theta` (h,): hinge angles in rad at `reference.x`. Test the `overflow` of the result.
@@ -81,7 +84,7 @@ def find_candidates(contact: Contact, theta: Array, reference: Reference, capaci
     return CandidatePairs(reference, triangles, count, folded, theta, largest_turn(turning, folded))
 
 
-def _apart(contact: Contact, reference: Reference, capacity: int) -> tuple[Array, Array]:
+def _apart(contact: Contact, reference: Reference, capacity: int) -> tuple[Int[Array, " pairs"], Count]:
     """Find the pairs that share no node: return their keys (capacity,) and how many there are."""
     faces, n_faces, x = contact.faces, contact.faces.shape[0], reference.x
     corners = x[faces]
@@ -93,18 +96,18 @@ def _apart(contact: Contact, reference: Reference, capacity: int) -> tuple[Array
     low, high = boxes(corners[grid.order], extent[grid.order])
     faces, extent = faces[grid.order], extent[grid.order]
 
-    def meets(pair: Array) -> Array:
+    def meets(pair: Int[Array, " pairs"]) -> Bool[Array, "pairs 1"]:
         one, two = grid.places(pair)
         passed = boxes_meet(low, high, one, two, contact.range)
         passed = _those(passed, lambda at: _no_neighbors(faces, one[at], two[at]), FIRST)
 
-        def touch(at: Array) -> Array:
+        def touch(at: Int[Array, " block"]) -> Bool[Array, " block"]:
             sides = [(faces[k[at]], extent[k[at]]) for k in (one, two)]
             return _may_touch(contact, x, *sides)
 
         return _those(passed, touch, SECOND)[:, None]
 
-    def both(pair: Array) -> Array:
+    def both(pair: Int[Array, " pairs"]) -> Int[Array, " pairs"]:
         one, two = grid.places(pair)
         return one.astype(jnp.int64) * n_faces + two
 
@@ -114,12 +117,14 @@ def _apart(contact: Contact, reference: Reference, capacity: int) -> tuple[Array
     return pair_key(ordered, n_faces), count
 
 
-def _those(asked: Array, test: Callable[[Array], Array], block: int) -> Array:
+def _those(
+    asked: Bool[Array, " pairs"], test: Callable[[Int[Array, " block"]], Bool[Array, " block"]], block: int
+) -> Bool[Array, " pairs"]:
     """Return which entries (m,) are flagged in `asked` (m,) and pass `test`, which takes places (block,)."""
     size = asked.shape[0]
     few, many = compacted(lambda at: asked[at][:, None], jnp.asarray(size), 1, size, size)
 
-    def body(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+    def body(carry: tuple[Count, Bool[Array, " pairs"]]) -> tuple[Count, Bool[Array, " pairs"]]:
         start, passed = carry
         rows = start + jnp.arange(block)
         at = few[jnp.minimum(rows, size - 1)]
@@ -129,7 +134,7 @@ def _those(asked: Array, test: Callable[[Array], Array], block: int) -> Array:
     return jax.lax.while_loop(lambda carry: carry[0] < many, body, start)[1]
 
 
-def _sorted(center: Array, width: Array) -> _Grid:
+def _sorted(center: Float[Array, "faces 3"], width: Scalar) -> _Grid:
     """Sort triangles with centres (f, 3) in m into cubic cells of side `width` in m."""
     cell = jnp.floor((center - jnp.min(center, axis=0)) / width).astype(jnp.int64) + 1
     # An empty cell at both ends of a row separates it from the next row.
@@ -153,13 +158,20 @@ def _sorted(center: Array, width: Array) -> _Grid:
     return _Grid(order, runs // later.shape[0], before.astype(jnp.int32), until)
 
 
-def _no_neighbors(faces: Array, one: Array, two: Array) -> Array:
+def _no_neighbors(
+    faces: Int[Array, "faces 3"], one: Int[Array, " pairs"], two: Int[Array, " pairs"]
+) -> Bool[Array, " pairs"]:
     """Return whether the triangles `one` (m,) and `two` (m,) share no node."""
     same = [faces[:, i][one] == faces[:, j][two] for i in range(3) for j in range(3)]
     return ~reduce(jnp.logical_or, same)
 
 
-def _may_touch(contact: Contact, x: Array, one: tuple[Array, Array], two: tuple[Array, Array]) -> Array:
+def _may_touch(
+    contact: Contact,
+    x: NodeVectors,
+    one: tuple[Int[Array, "pairs 3"], Float[Array, " pairs"]],
+    two: tuple[Int[Array, "pairs 3"], Float[Array, " pairs"]],
+) -> Bool[Array, " pairs"]:
     """Return whether pairs of triangles may interact.
 
     They may if they can come within the range, and if some of their sites are far enough apart at rest.
@@ -173,7 +185,7 @@ def _may_touch(contact: Contact, x: Array, one: tuple[Array, Array], two: tuple[
     return interact & (gap <= contact.range + one_moves + two_moves)
 
 
-def _gap(first: tuple[Vec, ...], second: tuple[Vec, ...]) -> Array:
+def _gap(first: tuple[Vec, ...], second: tuple[Vec, ...]) -> Float[Array, " pairs"]:
     """Return a lower bound (m,) of the distance of two triangles in m.
 
     It is the largest of the distance of their bounding boxes and their separations along the line between
@@ -191,7 +203,7 @@ def _gap(first: tuple[Vec, ...], second: tuple[Vec, ...]) -> Array:
     return gap
 
 
-def _apart_by(one: list[Array], two: list[Array]) -> Array:
+def _apart_by(one: list[Float[Array, " pairs"]], two: list[Float[Array, " pairs"]]) -> Float[Array, " pairs"]:
     """Return the gap (m,) between intervals, each spanned by three numbers (m,); negative if they overlap."""
     highest, lowest = ([reduce(f, side) for side in (one, two)] for f in (jnp.maximum, jnp.minimum))
     return jnp.maximum(lowest[1] - highest[0], lowest[0] - highest[1])

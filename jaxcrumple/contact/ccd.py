@@ -5,8 +5,9 @@ Zhang et al., ACM TOG 25, 2006; Li et al., 2021.
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
+from jaxcrumple._jax.arrays import Count, Flag, NodeVectors, Scalar
 from jaxcrumple._jax.padded import accumulate
 from jaxcrumple.contact.active_set import may_touch
 from jaxcrumple.contact.lists import ContactLists, motion
@@ -23,7 +24,7 @@ ADVANCES = 64
 DOUBTED = 64
 
 
-def crosses(contact: Contact, lists: ContactLists, start: Array, end: Array) -> Array:
+def crosses(contact: Contact, lists: ContactLists, start: NodeVectors, end: NodeVectors) -> Flag:
     """Return whether parts of the sheet might touch while nodes move straight from `start` to `end` (n, 3).
 
     The test is conservative: it misses no contact, but may report one that does not occur. The lists must be
@@ -43,13 +44,18 @@ def crosses(contact: Contact, lists: ContactLists, start: Array, end: Array) -> 
     )
 
 
-def _pairs_cross(contact: Contact, lists: ContactLists, start: Array, end: Array) -> Array:
+def _pairs_cross(contact: Contact, lists: ContactLists, start: NodeVectors, end: NodeVectors) -> Flag:
     """Return the same as `crosses`, from a test of each pair that may touch."""
     pairs = lists.pairs
     places, count = may_touch(contact, lists, start, end)
     moves = jnp.maximum(*(motion(pairs.reference.x, x) for x in (start, end)))
 
-    def add(touched: Array, arguments: tuple[Array, ...], at: Array, held: Array) -> Array:
+    def add(
+        touched: Flag,
+        arguments: tuple[Shaped[Array, "..."], ...],
+        at: Int[Array, " chunk"],
+        held: Bool[Array, " chunk"],
+    ) -> Flag:
         start, way, moves, distance, triangles, faces, places = arguments
         at = places[at]
         first, second = (faces[triangles[at, side]] for side in range(2))
@@ -64,9 +70,16 @@ def _pairs_cross(contact: Contact, lists: ContactLists, start: Array, end: Array
 
 
 Corners = tuple[tuple[Vec, ...], tuple[Vec, ...]]
+_Advance = tuple[Float[Array, " pairs"], Float[Array, " pairs"], Bool[Array, " pairs"], Count]
 
 
-def touches(corners: Corners, steps: Corners, shared: Array, range: Array, asked: Array) -> Array:
+def touches(
+    corners: Corners,
+    steps: Corners,
+    shared: Bool[Array, "15 pairs"],
+    range: Scalar | float,
+    asked: Bool[Array, " pairs"],
+) -> Bool[Array, " pairs"]:
     """Return which (m,) of the pairs of triangles flagged in `asked` (m,) might touch along `steps`.
 
     `corners`, `steps`: the three corners of the first and of the second triangle in m, and their
@@ -74,7 +87,7 @@ def touches(corners: Corners, steps: Corners, shared: Array, range: Array, asked
     limits the distance at which parts count as touching.
     """
 
-    def distance(t: Array) -> Array:
+    def distance(t: Float[Array, " pairs"]) -> Float[Array, " pairs"]:
         here = tuple(
             tuple(add(p, scale(t, d)) for p, d in zip(points, moves, strict=True))
             for points, moves in zip(corners, steps, strict=True)
@@ -83,7 +96,7 @@ def touches(corners: Corners, steps: Corners, shared: Array, range: Array, asked
 
     speed = jnp.maximum(_relative_motion(steps), 1e-300)
 
-    def body(carry):
+    def body(carry: _Advance) -> _Advance:
         t, floor, touched, count = carry
         gap = distance(t)
         floor = jnp.where(count == 0, TOUCHING * jnp.minimum(gap, range), floor)
@@ -92,7 +105,7 @@ def touches(corners: Corners, steps: Corners, shared: Array, range: Array, asked
         ahead = jnp.where(touched | ~asked, 1.0, t + (gap - 0.5 * floor) / speed)
         return jnp.minimum(ahead, 1.0), floor, touched, count + 1
 
-    def unfinished(carry) -> Array:
+    def unfinished(carry: _Advance) -> Flag:
         t, _, _, count = carry
         return jnp.any(t < 1.0) & (count < ADVANCES)
 
@@ -103,7 +116,7 @@ def touches(corners: Corners, steps: Corners, shared: Array, range: Array, asked
     return touched | (asked & (t < 1.0))
 
 
-def _relative_motion(steps: Corners) -> Array:
+def _relative_motion(steps: Corners) -> Float[Array, " pairs"]:
     """Return a bound (m,) in m on the approach of two triangles along a step, without their common motion."""
     everything = [*steps[0], *steps[1]]
     mean = scale(1.0 / len(everything), _sum(everything))

@@ -13,8 +13,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Array, Bool, Float, Int
 
+from jaxcrumple._jax.arrays import Count, NodeValues, NodeVectors, Scalar
 from jaxcrumple._jax.padded import accumulate
 from jaxcrumple.contact.active_set import (
     PairTerms,
@@ -35,8 +36,15 @@ ADDED = 512
 # remain valid while sites approach further.
 CLOSER = 0.98
 
+_Tangent = tuple[Float[Array, "blocks 9"], Float[Array, "triangles 9 9"], NodeValues]
 
-def pair_energy(distance: Array, stiffness: Array, sigma: Array, core: Array | float | None = None) -> Array:
+
+def pair_energy(
+    distance: Float[Array, "..."] | float,
+    stiffness: Scalar | float,
+    sigma: Scalar | float,
+    core: Scalar | float | None = None,
+) -> Float[Array, "..."]:
     """Return the energy of two sites in J.
 
     It is $k_s \\sigma^2 \\exp(\\sigma/(r - \\sigma))$ for $r < \\sigma$, else 0. Its negative gradient is
@@ -53,20 +61,20 @@ def pair_energy(distance: Array, stiffness: Array, sigma: Array, core: Array | f
     return jnp.where(inside, stiffness * sigma * sigma * jnp.exp(-width / gap) * growth, 0.0)
 
 
-def energy(contact: Contact, lists: ContactLists, x: Array) -> Array:
+def energy(contact: Contact, lists: ContactLists, x: NodeVectors) -> Scalar:
     """Return the energy in J at positions `x` (n, 3); NaN where the lists are not valid."""
 
-    def add(total: Array, contact: Contact, x: Array, terms: PairTerms) -> Array:
+    def add(total: Scalar, contact: Contact, x: NodeVectors, terms: PairTerms) -> Scalar:
         _, distance = separation(terms, x)
         return total + jnp.sum(terms.strength * _potential(contact, distance))
 
     return _sum(contact, lists, x, interacting, add, jnp.zeros((), x.dtype))
 
 
-def force(contact: Contact, lists: ContactLists, x: Array) -> Array:
+def force(contact: Contact, lists: ContactLists, x: NodeVectors) -> NodeVectors:
     """Return the nodal forces (n, 3) in N, (27)-(28); NaN where the lists are not valid."""
 
-    def add(total: Array, contact: Contact, x: Array, terms: PairTerms) -> Array:
+    def add(total: NodeVectors, contact: Contact, x: NodeVectors, terms: PairTerms) -> NodeVectors:
         r, distance = separation(terms, x)
         push = (-terms.strength * _slope(contact, distance) / distance)[:, None] * r
         return with_push(total, terms, push)
@@ -75,8 +83,12 @@ def force(contact: Contact, lists: ContactLists, x: Array) -> Array:
 
 
 def add_tangent(
-    contact: Contact, lists: ContactLists, x: Array, own: Array, face_blocks: Array
-) -> tuple[Array, Array, Array]:
+    contact: Contact,
+    lists: ContactLists,
+    x: NodeVectors,
+    own: Float[Array, "blocks 9"],
+    face_blocks: Int[Array, "faces 6"],
+) -> _Tangent:
     """Compute the Hessian in N/m at positions `x` (n, 3): (A.10) with corrected sign.
 
     A compressed pair adds negative transverse (geometric) stiffness. It cancels if both layers move
@@ -92,7 +104,7 @@ def add_tangent(
     one, two = np.array(upper_pairs(3)).T
     triangles = lists.pairs.triangles
 
-    def add(total: tuple[Array, Array, Array], contact: Contact, x: Array, terms: PairTerms):
+    def add(total: _Tangent, contact: Contact, x: NodeVectors, terms: PairTerms) -> _Tangent:
         own, cross, lift = total
         r, distance = separation(terms, x)
         matrix, tension = _matrices(contact, terms, r / distance[:, None], distance)
@@ -109,7 +121,9 @@ def add_tangent(
     return _sum(contact, lists, x, interacting, add, (own, cross, jnp.zeros(x.shape[0], x.dtype)))
 
 
-def nearer_product(contact: Contact, lists: ContactLists, x: Array) -> Callable[[Array], Array]:
+def nearer_product(
+    contact: Contact, lists: ContactLists, x: NodeVectors
+) -> Callable[[NodeVectors], NodeVectors]:
     """Return the product of the Hessian with displacements (n, 3) in m, as a function; it gives N.
 
     The Hessian is that at positions `x` (n, 3), but with all distances reduced by `CLOSER`, since motion may
@@ -117,12 +131,14 @@ def nearer_product(contact: Contact, lists: ContactLists, x: Array) -> Callable[
     """
     found, holds = interacting(contact, lists, x, CLOSER), covers(lists, x)
 
-    def add(total: Array, contact: Contact, both: tuple[Array, Array], terms: PairTerms) -> Array:
+    def add(
+        total: NodeVectors, contact: Contact, both: tuple[NodeVectors, NodeVectors], terms: PairTerms
+    ) -> NodeVectors:
         (r, distance), (change, _) = separation(terms, both[0]), separation(terms, both[1])
         matrix, _ = _matrices(contact, terms, r / distance[:, None], _closer(contact, distance))
         return with_push(total, terms, jnp.sum(matrix * change[:, None], axis=2))
 
-    def product(u: Array) -> Array:
+    def product(u: NodeVectors) -> NodeVectors:
         total = _added(contact, lists.pairs, (x, u), found, add, jnp.zeros_like(x))
         return jnp.where(holds, total, jnp.nan)
 
@@ -130,7 +146,7 @@ def nearer_product(contact: Contact, lists: ContactLists, x: Array) -> Callable[
 
 
 @eqx.filter_jit
-def closest_sites(contact: Contact, lists: ContactLists, x: Array) -> tuple[Array, Array, Array]:
+def closest_sites(contact: Contact, lists: ContactLists, x: NodeVectors) -> tuple[Scalar, Count, Count]:
     """Find the closest interacting site pair at positions `x` (n, 3).
 
     **Returns:** its distance in m, infinite if no sites interact; the number of interacting site pairs; and
@@ -145,25 +161,27 @@ def closest_sites(contact: Contact, lists: ContactLists, x: Array) -> tuple[Arra
     return jnp.min(gaps), jnp.sum(pushing), terms.owner[jnp.argmin(gaps)]
 
 
-def _closer(contact: Contact, distance: Array) -> Array:
+def _closer(contact: Contact, distance: Float[Array, " pairs"]) -> Float[Array, " pairs"]:
     """Reduce `distance` (p,) in m by `CLOSER`, but at most halfway to the core of a barrier."""
     closer = CLOSER * distance
     return closer if contact.core is None else jnp.maximum(closer, 0.5 * (contact.core + distance))
 
 
-def _potential(contact: Contact, distance: Array) -> Array:
+def _potential(contact: Contact, distance: Float[Array, " *axes"]) -> Float[Array, " *axes"]:
     return pair_energy(distance, contact.stiffness, contact.range, contact.core)
 
 
-def _slope(contact: Contact, distance: Array) -> Array:
+def _slope(contact: Contact, distance: Float[Array, " pairs"]) -> Float[Array, " pairs"]:
     return jax.vmap(jax.grad(lambda r: _potential(contact, r)))(distance)
 
 
-def _stiffness(contact: Contact, distance: Array) -> Array:
+def _stiffness(contact: Contact, distance: Float[Array, " pairs"]) -> Float[Array, " pairs"]:
     return jax.vmap(jax.grad(jax.grad(lambda r: _potential(contact, r))))(distance)
 
 
-def _matrices(contact: Contact, terms: PairTerms, direction: Array, distance: Array) -> tuple[Array, Array]:
+def _matrices(
+    contact: Contact, terms: PairTerms, direction: Float[Array, "pairs 3"], distance: Float[Array, " pairs"]
+) -> tuple[Float[Array, "pairs 3 3"], Float[Array, " pairs"]]:
     """Return the stiffness (p, 3, 3) in N/m of site pairs, and the transverse stiffness (p,).
 
     `direction` (p, 3): unit vectors between the sites; `distance` (p,) in m.
@@ -174,20 +192,39 @@ def _matrices(contact: Contact, terms: PairTerms, direction: Array, distance: Ar
     return stiffness * along + tension[:, None, None] * jnp.eye(3), tension
 
 
-def _sum(contact: Contact, lists: ContactLists, x: Array, find: Callable[..., Any], add, nothing: Any) -> Any:
+def _sum(
+    contact: Contact,
+    lists: ContactLists,
+    x: NodeVectors,
+    find: Callable[..., tuple[Int[Array, " pairs"], Count]],
+    add: Callable[..., Any],
+    nothing: Any,
+) -> Any:
     """Add the contributions of the pairs that `find` selects to `nothing`; NaN where lists are not valid."""
     value, holds = _added(contact, lists.pairs, x, find(contact, lists, x), add, nothing), covers(lists, x)
     return jax.tree.map(lambda total: jnp.where(holds, total, jnp.nan), value)
 
 
-def _added(contact: Contact, pairs: SitePairs, x: Any, found: tuple[Array, Array], add, nothing: Any) -> Any:
+def _added(
+    contact: Contact,
+    pairs: SitePairs,
+    x: NodeVectors | tuple[NodeVectors, NodeVectors],
+    found: tuple[Int[Array, " pairs"], Count],
+    add: Callable[..., Any],
+    nothing: Any,
+) -> Any:
     """Add the contributions of the site pairs `found`, as `likely` returns them, to `nothing`.
 
     `x`: array (n, 3), or a tuple of such arrays.
     """
     places, count = found
 
-    def add_at(total: Any, arguments: tuple[Contact, SitePairs, Any, Array], at: Array, held: Array) -> Any:
+    def add_at(
+        total: Any,
+        arguments: tuple[Contact, SitePairs, Any, Int[Array, " pairs"]],
+        at: Int[Array, " chunk"],
+        held: Bool[Array, " chunk"],
+    ) -> Any:
         contact, pairs, x, places = arguments
         # An unused entry could lie in the core of a barrier, and infinity times 0 is NaN.
         return add(total, contact, x, pair_terms(contact, pairs, places[jnp.where(held, at, 0)], held))

@@ -5,6 +5,7 @@ import itertools
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import ArrayLike, Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from jaxcrumple.contact.adjacency import LISTED_TURN, Fans
@@ -22,7 +23,7 @@ _turning = eqx.filter_jit(Fans.turning)
 class Search:
     """Find the candidate pairs of triangles of one sheet. All constant data is prepared once."""
 
-    def __init__(self, contact: Contact, hinges: np.ndarray):
+    def __init__(self, contact: Contact, hinges: Int[ArrayLike, "hinges 4"]) -> None:
         """Prepare the search; `hinges` (h, 4): nodes as in `Bending.nodes`."""
         self.faces = np.asarray(contact.faces)
         self.sigma = float(contact.range)
@@ -34,8 +35,8 @@ class Search:
         self.sharing = pairs[:, 0].astype(np.int64) * len(self.faces) + pairs[:, 1]
 
     def find(
-        self, x: np.ndarray, skin: np.ndarray, turn: float = LISTED_TURN
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, x: Float[np.ndarray, "nodes 3"], skin: Float[np.ndarray, " nodes"], turn: float = LISTED_TURN
+    ) -> tuple[Int[np.ndarray, "pairs 2"], Bool[np.ndarray, " ways"]]:
         """Find the candidate pairs at positions `x` (n, 3) in m.
 
         These are the pairs without a common node that may come within the range while each node moves up to
@@ -49,7 +50,9 @@ class Search:
         keys = np.unique(np.concatenate([self._apart(x, skin), at_nodes]))
         return np.stack([keys // len(self.faces), keys % len(self.faces)], axis=1), folded
 
-    def _apart(self, x: np.ndarray, skin: np.ndarray) -> np.ndarray:
+    def _apart(
+        self, x: Float[np.ndarray, "nodes 3"], skin: Float[np.ndarray, " nodes"]
+    ) -> Int[np.ndarray, " pairs"]:
         """Return the keys of the candidate pairs that share no node."""
         corners = x[self.faces]
         center = corners.mean(axis=1)
@@ -66,13 +69,13 @@ class Search:
             pairs, key, limit = pairs[close], key[close], limit[close]
         return key[self._interact(pairs)]
 
-    def _interact(self, pairs: np.ndarray) -> np.ndarray:
+    def _interact(self, pairs: Int[np.ndarray, "pairs 2"]) -> Bool[np.ndarray, " pairs"]:
         """Return whether some sites of each pair are far enough apart at rest to interact."""
         one, two = (self.rest[self.faces[pairs[:, k]]] for k in range(2))
         squared = np.sum((one[:, :, None] - two[:, None]) ** 2, axis=3)
         return squared.max(axis=(1, 2)) >= (EXCLUSION * self.sigma) ** 2
 
-    def _folded(self, x: np.ndarray, turn: float) -> np.ndarray:
+    def _folded(self, x: Float[np.ndarray, "nodes 3"], turn: float) -> Bool[np.ndarray, " ways"]:
         """Return which ways (w,) around a node turn by more than `turn` in rad."""
         a, b, c, d = (x[self.hinges[:, k]] for k in range(4))
         n1, n2 = np.cross(b - a, c - a), np.cross(d - a, b - a)
@@ -80,7 +83,12 @@ class Search:
         return np.asarray(_turning(self.fans, jnp.asarray(angle))) > turn
 
 
-def _tree_pairs(center: np.ndarray, radius: np.ndarray, room: np.ndarray, sigma: float) -> np.ndarray:
+def _tree_pairs(
+    center: Float[np.ndarray, "faces 3"],
+    radius: Float[np.ndarray, " faces"],
+    room: Float[np.ndarray, " faces"],
+    sigma: float,
+) -> Int[np.ndarray, "pairs 2"]:
     """Find the pairs whose bounding spheres come within `sigma` of each other.
 
     The spheres have radius `radius` (f,) + `room` (f,), all in m. Returns the pairs (m, 2), lower index
@@ -100,7 +108,13 @@ def _tree_pairs(center: np.ndarray, radius: np.ndarray, room: np.ndarray, sigma:
     return np.concatenate(pairs)
 
 
-def _in_balls(center: np.ndarray, size: np.ndarray, sigma: float, pairs, least: float) -> np.ndarray:
+def _in_balls(
+    center: Float[np.ndarray, "faces 3"],
+    size: Float[np.ndarray, " faces"],
+    sigma: float,
+    pairs: Int[np.ndarray, "2 pairs"] | tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]],
+    least: float,
+) -> Int[np.ndarray, "close 2"]:
     """Return the `pairs` (2, m), as (k, 2), whose spheres of radius `size` come within `sigma` of each other.
 
     Pairs with centres closer than `least` are left out: another search has found them.
@@ -112,7 +126,9 @@ def _in_balls(center: np.ndarray, size: np.ndarray, sigma: float, pairs, least: 
     return np.stack([one[close], two[close]], axis=1)
 
 
-def _box_gap(corners: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+def _box_gap(
+    corners: Float[np.ndarray, "faces 3 3"], pairs: Int[np.ndarray, "pairs 2"]
+) -> Float[np.ndarray, " pairs"]:
     """Return the distance (m,) of the bounding boxes of the triangles."""
     low, high = _smallest(corners), _largest(corners)
     one, two = pairs.T
@@ -120,7 +136,9 @@ def _box_gap(corners: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     return np.sqrt(np.einsum("ij,ij->i", apart, apart))
 
 
-def _axis_gap(corners: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+def _axis_gap(
+    corners: Float[np.ndarray, "faces 3 3"], pairs: Int[np.ndarray, "pairs 2"]
+) -> Float[np.ndarray, " pairs"]:
     """Return a lower bound (m,) of the distance: the largest separation along centre line and normals."""
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     center = corners.mean(axis=1)
@@ -135,10 +153,10 @@ def _axis_gap(corners: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     return gap
 
 
-def _largest(a: np.ndarray) -> np.ndarray:
+def _largest(a: Float[np.ndarray, "faces 3 *axes"]) -> Float[np.ndarray, " faces *axes"]:
     """Return the maximum over the corners, axis 1; much faster than NumPy's reduction of a short axis."""
     return np.maximum(np.maximum(a[:, 0], a[:, 1]), a[:, 2])
 
 
-def _smallest(a: np.ndarray) -> np.ndarray:
+def _smallest(a: Float[np.ndarray, "faces 3 *axes"]) -> Float[np.ndarray, " faces *axes"]:
     return np.minimum(np.minimum(a[:, 0], a[:, 1]), a[:, 2])

@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
+from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeValues, NodeVectors, Scalar
 from jaxcrumple.geometry.hinge import dot
 
 # Sites closer than this many ranges at rest are neighbours at rest: they never interact.
@@ -31,14 +32,14 @@ SOON = 1.5
 class Reference(eqx.Module):
     """Describe the motions that a list covers: up to the `skin` (n,) m from positions `x` (n, 3) m."""
 
-    x: Array
-    skin: Array
+    x: NodeVectors
+    skin: NodeValues
 
-    def equals(self, other: "Reference") -> Array:
+    def equals(self, other: "Reference") -> Flag:
         """Return whether positions and skin equal those of `other`."""
         return jnp.all(self.x == other.x) & jnp.all(self.skin == other.skin)
 
-    def covers(self, x: Array, margin: Array | float = 0.0) -> Array:
+    def covers(self, x: NodeVectors, margin: NodeValues | Scalar | float = 0.0) -> Flag:
         """Return whether each node of `x` (n, 3) can move `margin` m further and stay within its skin."""
         return jnp.all(motion(self.x, x) + margin <= self.skin)
 
@@ -57,11 +58,11 @@ class VerletList(eqx.Module):
     reference: eqx.AbstractVar[Reference]
 
     @property
-    def overflow(self) -> Array:
+    def overflow(self) -> Flag:
         """Return whether more entries are needed than the list has capacity for; it is then never valid."""
         raise NotImplementedError
 
-    def covers(self, x: Array, margin: Array | float = 0.0) -> Array:
+    def covers(self, x: NodeVectors, margin: NodeValues | Scalar | float = 0.0) -> Flag:
         """Return whether the list is valid at `x` (n, 3), and if each node moves `margin` m further."""
         return self.reference.covers(x, margin) & ~self.overflow
 
@@ -77,14 +78,14 @@ class CandidatePairs(VerletList):
     """
 
     reference: Reference
-    triangles: Array
-    count: Array
-    folded: Array
-    theta: Array
-    turn: Array
+    triangles: Int[Array, "triangles 2"]
+    count: Count
+    folded: Bool[Array, " ways"]
+    theta: HingeValues
+    turn: Scalar
 
     @property
-    def overflow(self) -> Array:
+    def overflow(self) -> Flag:
         """Return whether there are more candidate pairs than the list has capacity for."""
         return self.count > self.triangles.shape[0]
 
@@ -102,33 +103,33 @@ class SitePairs(VerletList):
     """
 
     reference: Reference
-    triangles: Array
-    distance: Array
-    triangle_count: Array
-    owner: Array
-    first: Array
-    second: Array
-    apart: Array
-    count: Array
-    needed: Array
+    triangles: Int[Array, "triangles 2"]
+    distance: Float[Array, " triangles"]
+    triangle_count: Count
+    owner: Int[Array, " pairs"]
+    first: Int[Array, " pairs"]
+    second: Int[Array, " pairs"]
+    apart: Float[Array, " pairs"]
+    count: Count
+    needed: Int[Array, "3"]
     capacity: Capacity = eqx.field(static=True)
 
     @property
-    def overflow(self) -> Array:
+    def overflow(self) -> Flag:
         """Return whether one of the three capacities is too small."""
         return jnp.any(self.needed > jnp.asarray(self.capacity))
 
-    def approach(self, faces: Array, *positions: Array) -> Array:
+    def approach(self, faces: Int[Array, "faces 3"], *positions: NodeVectors) -> Float[Array, " triangles"]:
         """Return a bound (T,) in m on the approach of two triangles since the last rebuild, at any of the
         `positions` (n, 3)."""
         return self.approach_of(faces, reduce(jnp.maximum, [motion(self.reference.x, x) for x in positions]))
 
-    def approach_of(self, faces: Array, moves: Array) -> Array:
+    def approach_of(self, faces: Int[Array, "faces 3"], moves: NodeValues) -> Float[Array, " triangles"]:
         """Return a bound (T,) in m on the approach of two triangles whose nodes move by `moves` (n,) in m."""
         most = reduce(jnp.maximum, [moves[faces[:, k]] for k in range(3)])
         return most[self.triangles[:, 0]] + most[self.triangles[:, 1]]
 
-    def keys(self, n_faces: int, sites: int) -> Array:
+    def keys(self, n_faces: int, sites: int) -> Int[Array, " pairs"]:
         """Return sorted integer keys (P,) that name a site pair by its triangles and sites, `NONE` if unused.
 
         A pair has the same key in all lists of a sheet with `n_faces` triangles of `sites` sites each.
@@ -147,13 +148,13 @@ class ActiveSet(VerletList):
     """
 
     reference: Reference
-    pairs: Array
-    count: Array
-    close: Array
-    close_count: Array
+    pairs: Int[Array, " pairs"]
+    count: Count
+    close: Int[Array, " triangles"]
+    close_count: Count
 
     @property
-    def overflow(self) -> Array:
+    def overflow(self) -> Flag:
         """Return False: the set has the capacity of the list of which it is a part."""
         return jnp.asarray(False)
 
@@ -166,11 +167,11 @@ class MatrixPairs(eqx.Module):
     entries of their blocks, or e for entries below the diagonal, which are dropped.
     """
 
-    indptr: Array
-    indices: Array
-    place: Array
-    keys: Array
-    entries: Array
+    indptr: Int[Array, " starts"]
+    indices: Int[Array, " merged"]
+    place: Int[Array, " entries"]
+    keys: Int[Array, " triangles"]
+    entries: Int[Array, "triangles 81"]
 
 
 class ContactLists(NamedTuple):
@@ -201,13 +202,18 @@ def doubled(size: int, needed: int) -> int:
     return size
 
 
-def pair_key(triangles: Any, n_faces: int) -> Any:
+def pair_key(triangles: Int[Any, "pairs 2"], n_faces: int) -> Int[Any, " pairs"]:
     """Return integer keys (m,) of pairs of triangles (m, 2), lower index first; keys sort like the pairs."""
     wide = triangles.astype(jnp.int64)
     return wide[:, 0] * n_faces + wide[:, 1]
 
 
-def carried(old: Array, new: Array, values: Array, default: Array | float) -> Array:
+def carried(
+    old: Int[Array, " before"],
+    new: Int[Array, " after"],
+    values: Shaped[Array, " before *axes"],
+    default: Shaped[Array, "..."] | float,
+) -> Shaped[Array, " after *axes"]:
     """Carry `values` (P, ...) of site pairs over to a rebuilt list.
 
     `old`, `new` (P,): `SitePairs.keys` of both lists. Pairs that were not in the old list get the `default`.
@@ -217,7 +223,7 @@ def carried(old: Array, new: Array, values: Array, default: Array | float) -> Ar
     return jnp.where(same.reshape(-1, *[1] * (values.ndim - 1)), values[place], default)
 
 
-def motion(start: Array, end: Array) -> Array:
+def motion(start: Float[Any, "nodes 3"], end: Float[Any, "nodes 3"]) -> NodeValues:
     """Return the distance (n,) that each node moved from `start` to `end` (n, 3), without the mean motion."""
     # By columns, because rows of three do not vectorise.
     columns = [end[:, k] - start[:, k] for k in range(3)]

@@ -2,8 +2,9 @@
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Bool, Float, Int, Real
 
+from jaxcrumple._jax.arrays import Count, NodeVectors
 from jaxcrumple._jax.padded import compacted, enumerated, filled
 from jaxcrumple.contact.lists import (
     EXCLUSION,
@@ -67,42 +68,48 @@ class _Stages:
     pair, place in that list * s + site of the second triangle.
     """
 
-    def __init__(self, contact: Contact, reference: Reference, triangles: Array, capacity: Capacity):
+    def __init__(
+        self,
+        contact: Contact,
+        reference: Reference,
+        triangles: Int[Array, "triangles 2"],
+        capacity: Capacity,
+    ) -> None:
         self.contact, self.x, self.capacity = contact, reference.x, capacity
         self.first, self.second = (contact.faces[triangles[:, side]] for side in range(2))
         self.reach = _limit(contact, reference, self.first, self.second)
         self.lattice = Lattice(contact.weights)
         self.width = self.lattice.parts + 1
 
-    def sites(self, pairs: Array) -> tuple[Array, Array]:
+    def sites(self, pairs: Count) -> tuple[Int[Array, " sites"], Count]:
         """Find the sites near the second triangle of the first `pairs` pairs, and count them."""
         contact, lattice = self.contact, self.lattice
         integer = _place_type(self.capacity.triangles * lattice.count)
         strange = _may_meet(contact, self.x, self.first, self.second, self.reach)
 
-        def close(at: Array) -> tuple[Array, Array]:
+        def close(at: Int[Array, " chunk"]) -> tuple[Int[Array, "chunk rows"], Int[Array, "chunk rows"]]:
             first, second = gather(self.x, self.first[at]), gather(self.x, self.second[at])
             start, behind = in_prism(lattice, first, second, self.reach[at])
             return start, jnp.where(strange[at][:, None], behind, start)
 
-        def place(at: Array, number: Array) -> Array:
+        def place(at: Int[Array, " chunk"], number: Int[Array, " chunk #rows"]) -> Int[Array, "chunk rows"]:
             return at.astype(integer)[:, None] * lattice.count + lattice.first + number
 
         return enumerated(close, pairs, self.capacity.sites, max(LINES // len(lattice.row), 1), place)
 
-    def _sides(self, found: Array, x: Array) -> tuple[Vec, Vec, Vec]:
+    def _sides(self, found: Int[Array, " chunk"], x: NodeVectors) -> tuple[Vec, Vec, Vec]:
         """Return `Lattice.steps` from the sites `found` (m,) in the lattice of the second triangle."""
         owner, site = _split(found, self.lattice.count)
         point = self.lattice.point(site, gather(x, self.first[owner]))
         return self.lattice.steps(point, gather(x, self.second[owner]))
 
-    def _limit(self, found: Array) -> Array:
+    def _limit(self, found: Int[Array, " chunk"]) -> Float[Array, " chunk"]:
         return self.reach[_split(found, self.lattice.count)[0]]
 
-    def rows(self, found: Array, count: Array) -> tuple[Array, Array]:
+    def rows(self, found: Int[Array, " sites"], count: Count) -> tuple[Int[Array, " pairs"], Count]:
         """Find the rows near the first `count` sites: place in `found` * `width` + row, and their number."""
 
-        def near(at: Array) -> tuple[Array, Array]:
+        def near(at: Int[Array, " chunk"]) -> tuple[Int[Array, "chunk 1"], Int[Array, "chunk 1"]]:
             start, row, step = self._sides(found[at], self.x)
             return within(across(start, step), across(row, step), self._limit(found[at]), self.lattice.parts)
 
@@ -111,7 +118,9 @@ class _Stages:
             near, count, self.capacity.pairs, LINES, lambda at, k: at.astype(wide)[:, None] * self.width + k
         )
 
-    def columns(self, found: Array, lines: Array, count: Array) -> tuple[Array, Array]:
+    def columns(
+        self, found: Int[Array, " sites"], lines: Int[Array, " pairs"], count: Count
+    ) -> tuple[Int[Array, " pairs"], Count]:
         """Find the near sites in the first `count` rows, without neighbours at rest up to rounding.
 
         Returns the pairs and their number.
@@ -119,7 +128,7 @@ class _Stages:
         contact, lattice = self.contact, self.lattice
         integer = _place_type(self.capacity.sites * lattice.count)
 
-        def near(at: Array) -> tuple[Array, Array]:
+        def near(at: Int[Array, " chunk"]) -> tuple[Int[Array, "chunk 2"], Int[Array, "chunk 2"]]:
             here, number = _split(lines[at], self.width)
             last = lattice.parts - number
             start, row, step = self._sides(found[here], self.x)
@@ -129,33 +138,41 @@ class _Stages:
             known = EXCLUSION * contact.range - NEARLY * jnp.sqrt(dot(step, step))
             return without(close, within(add(start, scale(number, row)), step, known, last))
 
-        def entry(at: Array, column: Array) -> Array:
+        def entry(
+            at: Int[Array, " chunk"], column: Int[Array, "chunk columns"]
+        ) -> Int[Array, "chunk columns"]:
             here, number = _split(lines[at], self.width)
             first = here.astype(integer) * lattice.count + lattice.first[number]
             return first[:, None] + column
 
         return enumerated(near, count, self.capacity.pairs, LINES, entry)
 
-    def strangers(self, found: Array, met: Array, count: Array) -> tuple[Array, Array]:
+    def strangers(
+        self, found: Int[Array, " sites"], met: Int[Array, " pairs"], count: Count
+    ) -> tuple[Int[Array, " pairs"], Count]:
         """Select the pairs among the first `count` that are not neighbours at rest, and count them."""
 
-        def strange(at: Array) -> Array:
+        def strange(at: Int[Array, " chunk"]) -> Bool[Array, "chunk 1"]:
             _, apart = self._between(found, met[at], self.contact.rest)
             return (dot(apart, apart) >= (EXCLUSION * self.contact.range) ** 2)[:, None]
 
         return compacted(strange, count, 1, self.capacity.pairs, REST, lambda at: met[at])
 
-    def unpacked(self, found: Array, met: Array, count: Array) -> tuple[Array, Array, Array, Array]:
+    def unpacked(
+        self, found: Int[Array, " sites"], met: Int[Array, " pairs"], count: Count
+    ) -> tuple[Int[Array, " pairs"], Int[Array, " pairs"], Int[Array, " pairs"], Float[Array, " pairs"]]:
         """Compute `owner`, `first`, `second` and `apart` of `SitePairs` for the first `count` pairs."""
 
-        def unpack(at: Array) -> tuple[Array, ...]:
+        def unpack(at: Int[Array, " chunk"]) -> tuple[Real[Array, " chunk"], ...]:
             (owner, first, second), r = self._between(found, met[at], self.x)
             sites = (place.astype(jnp.int32) for place in (owner, first, second))
             return *sites, jnp.sqrt(dot(r, r))
 
         return filled(unpack, count, self.capacity.pairs, REST)
 
-    def _between(self, found: Array, pairs: Array, x: Array) -> tuple[tuple[Array, Array, Array], Vec]:
+    def _between(
+        self, found: Int[Array, " sites"], pairs: Int[Array, " chunk"], x: NodeVectors
+    ) -> tuple[tuple[Int[Array, " chunk"], Int[Array, " chunk"], Int[Array, " chunk"]], Vec]:
         """Return the pair of triangles and the two sites of site pairs, and the vector from the second site
         to the first."""
         row, second = _split(pairs, self.lattice.count)
@@ -170,13 +187,13 @@ def _place_type(size: int) -> type:
     return jnp.int32 if size <= jnp.iinfo(jnp.int32).max else jnp.int64
 
 
-def _split(place: Array, width: int) -> tuple[Array, Array]:
+def _split(place: Int[Array, " chunk"], width: int) -> tuple[Int[Array, " chunk"], Int[Array, " chunk"]]:
     """Split places row * `width` + column, which must not be negative, into row and column."""
     columns = jnp.asarray(width, place.dtype)
     return jax.lax.div(place, columns), jax.lax.rem(place, columns)
 
 
-def _in_all(count: Array, whole: Array, part: Array) -> Array:
+def _in_all(count: Count, whole: Count, part: Count) -> Count:
     """Extrapolate `count`, found in the first `part` entries of a list, to all `whole` entries."""
     return jnp.where(
         part < whole, jnp.ceil(count * (whole / jnp.maximum(part, 1))).astype(count.dtype), count
@@ -185,7 +202,7 @@ def _in_all(count: Array, whole: Array, part: Array) -> Array:
 
 def _close_triangles(
     contact: Contact, candidates: CandidatePairs, reference: Reference, capacity: Capacity
-) -> tuple[Array, Array, Array]:
+) -> tuple[Int[Array, "triangles 2"], Float[Array, " triangles"], Count]:
     """Find the candidate pairs of triangles that may come within the range during the motions `reference`.
 
     Returns the pairs (T, 2), the distance (T,) in m between the parts that share no node, and the number of
@@ -194,14 +211,14 @@ def _close_triangles(
     faces, x = contact.faces, reference.x
     low, high = boxes(x[faces], jnp.max(reference.skin[faces], axis=1))
 
-    def overlap(at: Array) -> Array:
+    def overlap(at: Int[Array, " chunk"]) -> Bool[Array, "chunk 1"]:
         one, two = candidates.triangles[at, 0], candidates.triangles[at, 1]
         return boxes_meet(low, high, one, two, contact.range)[:, None]
 
     size = candidates.triangles.shape[0]
     rough, count = compacted(overlap, jnp.minimum(candidates.count, size), 1, size, BOXES)
 
-    def distances(at: Array) -> tuple[Array, Array]:
+    def distances(at: Int[Array, " chunk"]) -> tuple[Float[Array, " chunk"], Float[Array, " chunk"]]:
         first, second = (faces[candidates.triangles[rough[at], side]] for side in range(2))
         whole, parts = _distances(x, first, second)
         return whole - _limit(contact, reference, first, second), parts
@@ -211,12 +228,16 @@ def _close_triangles(
     return candidates.triangles[rough[places]], apart[places], pair_count
 
 
-def _limit(contact: Contact, reference: Reference, first: Array, second: Array) -> Array:
+def _limit(
+    contact: Contact, reference: Reference, first: Int[Array, "pairs 3"], second: Int[Array, "pairs 3"]
+) -> Float[Array, " pairs"]:
     """Return the distance (m,) within which triangles with nodes (m, 3) may interact: range plus skins."""
     return contact.range + sum(jnp.max(reference.skin[nodes], axis=1) for nodes in (first, second))
 
 
-def _distances(x: Array, first: Array, second: Array) -> tuple[Array, Array]:
+def _distances(
+    x: NodeVectors, first: Int[Array, "pairs 3"], second: Int[Array, "pairs 3"]
+) -> tuple[Float[Array, " pairs"], Float[Array, " pairs"]]:
     """Return the distance (m,) of triangles with nodes (m, 3), and that between parts that share no node."""
     parts = primitive_distances(gather(x, first), gather(x, second))
     shared = shared_parts(first, second)
@@ -224,7 +245,13 @@ def _distances(x: Array, first: Array, second: Array) -> tuple[Array, Array]:
     return whole, jnp.sqrt(jnp.min(jnp.where(shared, jnp.inf, parts), axis=0))
 
 
-def _may_meet(contact: Contact, x: Array, first: Array, second: Array, reach: Array) -> Array:
+def _may_meet(
+    contact: Contact,
+    x: NodeVectors,
+    first: Int[Array, "pairs 3"],
+    second: Int[Array, "pairs 3"],
+    reach: Float[Array, " pairs"],
+) -> Bool[Array, " pairs"]:
     """Return whether two points that are not neighbours at rest may be within `reach` (m,) of each other.
 
     The points lie on triangles with nodes `first`, `second` (m, 3). With barycentric coordinates a_i and b_j,
@@ -239,11 +266,13 @@ def _may_meet(contact: Contact, x: Array, first: Array, second: Array, reach: Ar
     return jnp.minimum(jnp.max(rest, axis=0), reach * reach + nearer) >= (EXCLUSION * contact.range) ** 2
 
 
-def _squares(x: Array, first: Array, second: Array) -> tuple[Array, Array, Array]:
+def _squares(
+    x: NodeVectors, first: Int[Array, "pairs 3"], second: Int[Array, "pairs 3"]
+) -> tuple[Float[Array, "9 pairs"], Float[Array, "3 pairs"], Float[Array, "3 pairs"]]:
     """Return squared corner distances of triangles with nodes (m, 3): (9, m) between the two triangles, and
     (3, m) within each."""
 
-    def square(p: Vec, q: Vec) -> Array:
+    def square(p: Vec, q: Vec) -> Float[Array, " pairs"]:
         return dot(sub(p, q), sub(p, q))
 
     one, two = gather(x, first), gather(x, second)

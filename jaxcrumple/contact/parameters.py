@@ -6,8 +6,9 @@ from typing import Any, Literal, NamedTuple, get_args
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Array, Float, Int
 
+from jaxcrumple._jax.arrays import NodeVectors, Scalar
 from jaxcrumple._jax.tree import as_float, is_known
 from jaxcrumple.contact.adjacency import Fans, build_fans
 from jaxcrumple.contact.sites import build_sites, require_candidates, require_sites, site_density
@@ -58,16 +59,16 @@ class Contact(eqx.Module):
     - `fans`: triangles that share a node, and the hinges between them.
     """
 
-    faces: Array
-    rest: Array
-    weights: Array
-    share: Array
-    place: Array
-    density: Array
-    stiffness: Array = eqx.field(converter=as_float)
-    range: Array = eqx.field(converter=as_float)
-    core: Array | None
-    calm: Array = eqx.field(converter=as_float)
+    faces: Int[Array, "faces 3"]
+    rest: NodeVectors
+    weights: Float[Array, "sites 3"]
+    share: Float[Array, " sites"]
+    place: Int[Array, " sites"]
+    density: Float[Array, "faces 7"]
+    stiffness: Scalar = eqx.field(converter=as_float)
+    range: Scalar = eqx.field(converter=as_float)
+    core: Scalar | None
+    calm: Scalar = eqx.field(converter=as_float)
     fans: Fans
 
 

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Array, Float, Int
 
 from jaxcrumple.geometry.distance import TINY
 from jaxcrumple.geometry.hinge import Vec, add, cross, dot, scale, sub
@@ -18,13 +18,13 @@ class Lattice:
     `parts`: intervals along an edge; `row` (r,): row numbers; `first` (r,): first site of each row.
     """
 
-    def __init__(self, weights: Array):
+    def __init__(self, weights: Float[Array, "sites 3"]) -> None:
         self.weights, self.count = weights, weights.shape[0]
         self.parts = (int(np.sqrt(8 * self.count + 1)) - 3) // 2
         self.row = np.arange(self.parts + 1)
         self.first = jnp.asarray(self.row * (self.parts + 1) - self.row * (self.row - 1) // 2, jnp.int32)
 
-    def point(self, site: Array, corners: tuple[Vec, ...]) -> Vec:
+    def point(self, site: Int[Array, " pairs"], corners: tuple[Vec, ...]) -> Vec:
         """Return the positions of sites `site` (m,) of triangles with given `corners`."""
         a, b, c = (scale(self.weights[:, k][site], corner) for k, corner in enumerate(corners))
         return add(add(a, b), c)
@@ -36,8 +36,8 @@ class Lattice:
 
 
 def in_prism(
-    lattice: Lattice, first: tuple[Vec, ...], second: tuple[Vec, ...], reach: Array
-) -> tuple[Array, Array]:
+    lattice: Lattice, first: tuple[Vec, ...], second: tuple[Vec, ...], reach: Float[Array, " pairs"]
+) -> tuple[Int[Array, "pairs rows"], Int[Array, "pairs rows"]]:
     """Find the sites of the first triangles in prisms around the second ones that extend by `reach` (m,).
 
     The five sides of a prism are planes, and the height of a site above a plane is linear in its number in
@@ -72,7 +72,9 @@ def across(a: Vec, b: Vec) -> Vec:
     return sub(a, scale(dot(a, b) / (dot(b, b) + TINY), b))
 
 
-def within(start: Vec, step: Vec, reach: Array, last: Array | int) -> tuple[Array, Array]:
+def within(
+    start: Vec, step: Vec, reach: Float[Array, " pairs"], last: Int[Array, " pairs"] | int
+) -> tuple[Int[Array, "pairs 1"], Int[Array, "pairs 1"]]:
     """Find the integers k from 0 to `last` for which |`start` + k `step`| <= `reach`, a quadratic inequality.
 
     **Returns:** start and exclusive end of the intervals (m, 1).
@@ -85,7 +87,10 @@ def within(start: Vec, step: Vec, reach: Array, last: Array | int) -> tuple[Arra
     return first[:, None], behind[:, None]
 
 
-def without(whole: tuple[Array, Array], part: tuple[Array, Array]) -> tuple[Array, Array]:
+def without(
+    whole: tuple[Int[Array, "pairs 1"], Int[Array, "pairs 1"]],
+    part: tuple[Int[Array, "pairs 1"], Int[Array, "pairs 1"]],
+) -> tuple[Int[Array, "pairs 2"], Int[Array, "pairs 2"]]:
     """Return the intervals (m, 2) that `part` (m, 1) leaves of `whole` (m, 1): before it and after it."""
     (first, behind), (begin, end) = whole, part
     empty = begin >= end
@@ -94,7 +99,11 @@ def without(whole: tuple[Array, Array], part: tuple[Array, Array]) -> tuple[Arra
     return starts, jnp.concatenate([jnp.minimum(behind, begin), behind], axis=1)
 
 
-def _whole(low: Array, high: Array, last: Array | int | np.ndarray) -> tuple[Array, Array]:
+def _whole(
+    low: Float[Array, " *axes"],
+    high: Float[Array, " *axes"],
+    last: Int[Array, " pairs"] | Int[np.ndarray, " rows"] | int,
+) -> tuple[Int[Array, " *axes"], Int[Array, " *axes"]]:
     """Return start and exclusive end of the integers from 0 to `last` between `low` and `high`."""
     first = jnp.ceil(jnp.clip(low - ROUNDING, 0.0, last + 1.0))
     behind = jnp.floor(jnp.clip(high + ROUNDING, -1.0, last)) + 1.0

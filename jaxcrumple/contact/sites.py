@@ -1,11 +1,13 @@
 """The lattice of sites on every triangle (Fig. 2), the weights of sites, and the memory they need."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float, Int
 from scipy.spatial import cKDTree
 
+from jaxcrumple._jax.arrays import Scalar
 from jaxcrumple._jax.memory import require, require_indices, times_that_fit
 from jaxcrumple.mesh.mesh import Mesh
 
@@ -26,9 +28,9 @@ class Sites(NamedTuple):
     inside, 1 + k on the side opposite to corner k, 4 + k at corner k.
     """
 
-    weights: np.ndarray
-    share: np.ndarray
-    place: np.ndarray
+    weights: Float[np.ndarray, "sites 3"]
+    share: Float[np.ndarray, " sites"]
+    place: Int[np.ndarray, " sites"]
 
 
 def build_sites(level: int) -> Sites:
@@ -45,7 +47,7 @@ def build_sites(level: int) -> Sites:
     return Sites(corners / parts, share, np.choose(zeros, [0 * side, side, corner]))
 
 
-def site_density(mesh: Mesh, sigma: Any) -> Any:
+def site_density(mesh: Mesh, sigma: Scalar | float) -> Float[Array, "faces 7"]:
     """Return the area (f, 7) of each triangle over $a_0$, by `place` of its sites, to multiply their `share`.
 
     At the free edge of the sheet it is larger, so that sites there count in full, as in the paper. With the

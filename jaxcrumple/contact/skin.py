@@ -4,8 +4,8 @@ import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jax import Array
 
+from jaxcrumple._jax.arrays import NodeValues, Scalar
 from jaxcrumple.contact.parameters import Contact
 
 
@@ -22,7 +22,9 @@ class SkinPolicy(NamedTuple):
     min_steps: float
     cap: float
 
-    def skin(self, contact: Contact, moved: Array, margin: Array | float = 0.0) -> Array:
+    def skin(
+        self, contact: Contact, moved: NodeValues, margin: NodeValues | Scalar | float = 0.0
+    ) -> NodeValues:
         """Return the skin (n,) in m before steps that move nodes by `moved` (n,) in m.
 
         `margin` in m is added to the floor. Up to `Contact.calm` the skin costs nothing: a flat sheet then
@@ -32,7 +34,7 @@ class SkinPolicy(NamedTuple):
         most = jnp.maximum(least + self.cap * contact.range, contact.calm)
         return jnp.minimum(least + self.steps * moved, jnp.maximum(least + self.min_steps * moved, most))
 
-    def steps_ahead(self, contact: Contact, moved: Array) -> Array:
+    def steps_ahead(self, contact: Contact, moved: NodeValues) -> Scalar:
         """Return for how many steps that move nodes by `moved` (n,) in m no node exceeds the cap."""
         allowed = self.cap * contact.range / jnp.maximum(jnp.max(moved), 1e-300)
         return jnp.clip(allowed, self.min_steps, self.steps)

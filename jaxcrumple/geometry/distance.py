@@ -9,8 +9,9 @@ from functools import reduce
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Array, Bool, Float, Int
 
+from jaxcrumple._jax.arrays import Count, Scalar
 from jaxcrumple.geometry.hinge import Vec, cross, dot, scale, sub
 
 # Parts of two triangles: pairs corner-triangle as (side, corner), and pairs edge-edge as (edge, edge).
@@ -23,7 +24,7 @@ ENDS = ((0, 1), (1, 2), (2, 0))
 PARALLEL, TINY = 1e-12, 1e-60
 
 
-def segment_segment(p1: Vec, p2: Vec, q1: Vec, q2: Vec) -> Array:
+def segment_segment(p1: Vec, p2: Vec, q1: Vec, q2: Vec) -> Float[Array, "..."]:
     """Squared distance between the segments p1 p2 and q1 q2."""
     d1, d2, r = sub(p2, p1), sub(q2, q1), sub(p1, q1)
     a, e = dot(d1, d1) + TINY, dot(d2, d2) + TINY
@@ -37,7 +38,7 @@ def segment_segment(p1: Vec, p2: Vec, q1: Vec, q2: Vec) -> Array:
     return dot(d, d)
 
 
-def point_plane(p: Vec, a: Vec, b: Vec, c: Vec) -> Array:
+def point_plane(p: Vec, a: Vec, b: Vec, c: Vec) -> Float[Array, "..."]:
     """Squared distance of a point from the plane a b c if its foot lies in the triangle, else infinity."""
     e0, e1, r = sub(b, a), sub(c, a), sub(p, a)
     n = cross(e0, e1)
@@ -47,7 +48,7 @@ def point_plane(p: Vec, a: Vec, b: Vec, c: Vec) -> Array:
     return jnp.where((u >= 0) & (v >= 0) & (u + v <= 1), height * height / area, jnp.inf)
 
 
-def primitive_distances(first: tuple[Vec, ...], second: tuple[Vec, ...]) -> Array:
+def primitive_distances(first: tuple[Vec, ...], second: tuple[Vec, ...]) -> Float[Array, "15 ..."]:
     """Squared distances (15, ...) between the parts of two triangles, given by three corners each.
 
     The first six are corner-triangle distances (`CORNERS`). They are infinite where the foot of the corner
@@ -58,11 +59,11 @@ def primitive_distances(first: tuple[Vec, ...], second: tuple[Vec, ...]) -> Arra
     # XLA compiles the body of a loop once; fifteen expressions would take ten times as long.
     side, corner = np.array(CORNERS).T
 
-    def above(part: tuple[Array, Array]) -> Array:
+    def above(part: tuple[Count, Count]) -> Float[Array, "..."]:
         point, triangle = sides[part[0], part[1]], sides[1 - part[0]]
         return point_plane(_vec(point), *map(_vec, triangle))
 
-    def between(part: tuple[Array, Array]) -> Array:
+    def between(part: tuple[Int[Array, "2"], Int[Array, "2"]]) -> Float[Array, "..."]:
         (a, b), (c, d) = sides[0][part[0]], sides[1][part[1]]
         return segment_segment(_vec(a), _vec(b), _vec(c), _vec(d))
 
@@ -73,11 +74,11 @@ def primitive_distances(first: tuple[Vec, ...], second: tuple[Vec, ...]) -> Arra
     return jnp.concatenate([corners, edges])
 
 
-def _vec(a: Array) -> Vec:
+def _vec(a: Float[Array, "3 ..."]) -> Vec:
     return (a[0], a[1], a[2])
 
 
-def shared_parts(first: Array, second: Array) -> Array:
+def shared_parts(first: Int[Array, "pairs 3"], second: Int[Array, "pairs 3"]) -> Bool[Array, "15 pairs"]:
     """Flags (15, m) of parts as in `primitive_distances` that share a node, from node numbers (m, 3)."""
     same = first[:, :, None] == second[:, None, :]
     owned = [jnp.any(same[:, k] if s == 0 else same[:, :, k], axis=1) for s, k in CORNERS]
@@ -86,7 +87,7 @@ def shared_parts(first: Array, second: Array) -> Array:
     return jnp.stack(owned)
 
 
-def boxes(corners: Array, extent: Array) -> tuple[Vec, Vec]:
+def boxes(corners: Float[Array, "faces 3 3"], extent: Float[Array, " faces"]) -> tuple[Vec, Vec]:
     """Bounding boxes of triangles with `corners` (f, 3, 3) that move by up to `extent` (f,).
 
     **Returns:** the lowest and the highest coordinates, three arrays (f,) each.
@@ -95,7 +96,9 @@ def boxes(corners: Array, extent: Array) -> tuple[Vec, Vec]:
     return (low[:, 0], low[:, 1], low[:, 2]), (high[:, 0], high[:, 1], high[:, 2])
 
 
-def boxes_meet(low: Vec, high: Vec, one: Array, two: Array, range: Array) -> Array:
+def boxes_meet(
+    low: Vec, high: Vec, one: Int[Array, " pairs"], two: Int[Array, " pairs"], range: Scalar
+) -> Bool[Array, " pairs"]:
     """Whether boxes `one` (m,) and `two` (m,) are within `range` of each other along every axis."""
     apart = [jnp.maximum(a[one] - b[two], a[two] - b[one]) for a, b in zip(low, high, strict=True)]
     return reduce(jnp.maximum, apart) <= range

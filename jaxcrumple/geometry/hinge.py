@@ -16,9 +16,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Array, Float, Int, Real
 
-Vec = tuple[Array, Array, Array]
+from jaxcrumple._jax.arrays import NodeVectors, Scalar
+
+Vec = tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]
 
 
 def sub(a: Vec, b: Vec) -> Vec:
@@ -31,12 +33,12 @@ def add(a: Vec, b: Vec) -> Vec:
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
-def scale(s: Array | float, a: Vec) -> Vec:
+def scale(s: Real[Array, "..."] | float, a: Vec) -> Vec:
     """Scalar times vector."""
     return (s * a[0], s * a[1], s * a[2])
 
 
-def dot(a: Vec | Array, b: Vec | Array) -> Array:
+def dot(a: Vec | Float[Array, "3 ..."], b: Vec | Float[Array, "3 ..."]) -> Float[Array, "..."]:
     """Scalar product, also of arrays whose first axis counts the components."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
@@ -50,29 +52,29 @@ def cross(a: Vec, b: Vec) -> Vec:
     )
 
 
-def outer(a: Vec, b: Vec) -> Array:
+def outer(a: Vec, b: Vec) -> Float[Array, "3 3 ..."]:
     """Outer product $a b^T$, shape (3, 3, ...)."""
     return dyad(jnp.stack(a), jnp.stack(b))
 
 
-def dyad(a: Array, b: Array) -> Array:
+def dyad(a: Float[Array, " 3 *axes"], b: Float[Array, " 3 *axes"]) -> Float[Array, " 3 3 *axes"]:
     """Outer product $a b^T$ of vectors that are arrays (3, ...), shape (3, 3, ...)."""
     return a[:, None] * b[None]
 
 
-def gather(x: Array, nodes: Array) -> tuple[Vec, ...]:
+def gather(x: NodeVectors, nodes: Int[Array, "elements corners"]) -> tuple[Vec, ...]:
     """Node positions `x` (n, 3) of elements `nodes` (m, k), as k vectors of components (m,)."""
     # One gather for all k nodes: separate kernels take twice as long to run, and also to compile.
     parts = x.T[:, nodes.T]
     return tuple((parts[0, k], parts[1, k], parts[2, k]) for k in range(nodes.shape[1]))
 
 
-def unpack(x: Array) -> tuple[Vec, ...]:
+def unpack(x: Float[Array, "corners 3"]) -> tuple[Vec, ...]:
     """Positions of one element `x` (k, 3) as k vectors."""
     return tuple((row[0], row[1], row[2]) for row in x)
 
 
-def length(e: Vec) -> Array:
+def length(e: Vec) -> Float[Array, "..."]:
     """Euclidean length; its gradient is finite except at zero length."""
     return jnp.sqrt(dot(e, e))
 
@@ -85,8 +87,8 @@ class Hinge(NamedTuple):
     e2: Vec
     n1: Vec
     n2: Vec
-    edge_length: Array
-    theta: Array
+    edge_length: Float[Array, "..."]
+    theta: Float[Array, "..."]
 
 
 def hinge(x0: Vec, x1: Vec, x2: Vec, x3: Vec) -> Hinge:
@@ -99,12 +101,12 @@ def hinge(x0: Vec, x1: Vec, x2: Vec, x3: Vec) -> Hinge:
     return Hinge(e0, e1, e2, n1, n2, edge_length, jnp.arctan2(sine, dot(n1, n2)))
 
 
-def hinge_angle(x0: Vec, x1: Vec, x2: Vec, x3: Vec) -> Array:
+def hinge_angle(x0: Vec, x1: Vec, x2: Vec, x3: Vec) -> Float[Array, "..."]:
     """Signed angle between the face normals of a hinge, in (-pi, pi]."""
     return hinge(x0, x1, x2, x3).theta
 
 
-def curvature(theta: Array) -> Array:
+def curvature(theta: Float[Array, " *axes"]) -> Float[Array, " *axes"]:
     """Signed dimensionless curvature $c = 2 \\sin(\\theta/2)$ (eq. 33)."""
     return 2.0 * jnp.sin(0.5 * theta)
 
@@ -116,11 +118,11 @@ class HingeGradient(NamedTuple):
     g1: Vec
     g2: Vec
     g3: Vec
-    a1: Array
-    a2: Array
+    a1: Float[Array, "..."]
+    a2: Float[Array, "..."]
 
 
-def hinge_gradient(hg: Hinge, slope: Array | float = 1.0) -> HingeGradient:
+def hinge_gradient(hg: Hinge, slope: Float[Array, "..."] | float = 1.0) -> HingeGradient:
     """Gradient of a function of the angle with derivative `slope`; by default of the angle itself.
 
     With $u_i = |e_0| n_i / |n_i|^2$ and the foot points $a_i = (e_i \\cdot e_0)/|e_0|^2$:
@@ -145,7 +147,9 @@ HINGE_PAIRS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3), (2, 2), (
 _EDGE_SIGNS = np.array([-1.0, 1.0, 0.0, 0.0])
 
 
-def hinge_hessian(hg: Hinge, first: Array, second: Array) -> Array:
+def hinge_hessian(
+    hg: Hinge, first: Float[Array, " *axes"], second: Float[Array, " *axes"]
+) -> Float[Array, " 10 3 3 *axes"]:
     """Hessian of a function of the angle with derivatives `first` and `second`.
 
     With the height $h$ of a face over the shared edge, unit vectors $\\hat m$ along it and $\\hat n$
@@ -162,7 +166,11 @@ def hinge_hessian(hg: Hinge, first: Array, second: Array) -> Array:
     g = jnp.stack([jnp.stack(v) for v in (gr.g0, gr.g1, gr.g2, gr.g3)])
     along = jnp.stack(scale(1.0 / (hg.edge_length * hg.edge_length), hg.e0))
 
-    def block(pair: tuple[Array, ...]) -> Array:
+    def block(
+        pair: tuple[
+            Float[Array, " 2 *axes"], Float[Array, " 3 *axes"], Float[Array, " 3 *axes"], Scalar, Scalar
+        ],
+    ) -> Float[Array, " 3 3 *axes"]:
         c, ga, gb, sa, sb = pair
         bend = c[0] * planes[0] + c[1] * planes[1] - dyad(sa * gb, along) - dyad(sb * along, ga)
         return first * bend + dyad(second * ga, gb)
@@ -175,7 +183,9 @@ def hinge_hessian(hg: Hinge, first: Array, second: Array) -> Array:
     return jax.lax.map(block, (c, g[a], g[b], sa, sb))
 
 
-def _faces(hg: Hinge, gr: HingeGradient) -> tuple[Array, Array, Array]:
+def _faces(
+    hg: Hinge, gr: HingeGradient
+) -> tuple[Float[Array, " 4 2 *axes"], Float[Array, " 2 *axes"], Float[Array, " 2 3 3 *axes"]]:
     """Return the coefficients of `hinge_hessian` for both faces.
 
     These are w (4, 2, ...), $h^2/(2|e_0|^2)$ (2, ...) and, one (3, 3, ...) array for each face,

@@ -1,16 +1,21 @@
 """Self-intersections of a sheet: edges that pierce triangles, found with a k-d tree on the host."""
 
 import numpy as np
-from numpy.typing import ArrayLike
+from jaxtyping import ArrayLike, Bool, Float, Int, Integer
 from scipy.spatial import cKDTree
 
+from jaxcrumple._jax.arrays import NodeVectorsLike
 from jaxcrumple._jax.memory import require, times_that_fit
 
 # Bytes per candidate pair of a segment and a triangle.
 PAIR = 60.0
 
+Points = Float[np.ndarray, "pairs 3"]
 
-def intersections(x: ArrayLike, faces: ArrayLike, edges: ArrayLike) -> np.ndarray:
+
+def intersections(
+    x: NodeVectorsLike, faces: Integer[ArrayLike, "faces 3"], edges: Integer[ArrayLike, "edges 2"]
+) -> Int[np.ndarray, "pairs 2"]:
     """Find the edges that pierce a triangle with which they share no node.
 
     Where two triangles intersect, an edge of one pierces the other. An edge that only touches a plane from
@@ -28,7 +33,9 @@ def intersections(x: ArrayLike, faces: ArrayLike, edges: ArrayLike) -> np.ndarra
     return pairs[pierces(x[ends], x[corners])]
 
 
-def close_pairs(ends: np.ndarray, corners: np.ndarray) -> np.ndarray:
+def close_pairs(
+    ends: Float[np.ndarray, "segments 2 3"], corners: Float[np.ndarray, "triangles 3 3"]
+) -> Int[np.ndarray, "pairs 2"]:
     """Find the pairs of a segment and a triangle whose bounding boxes overlap.
 
     **Arguments:** positions in m: `ends` (k, 2, 3) of the segments, `corners` (f, 3, 3) of the triangles.
@@ -50,12 +57,14 @@ def close_pairs(ends: np.ndarray, corners: np.ndarray) -> np.ndarray:
     return np.stack([edge[overlap], face[overlap]], axis=1)
 
 
-def pierces(ends: np.ndarray, corners: np.ndarray) -> np.ndarray:
+def pierces(
+    ends: Float[np.ndarray, "pairs 2 3"], corners: Float[np.ndarray, "pairs 3 3"]
+) -> Bool[np.ndarray, " pairs"]:
     """Whether segments (m, 2, 3) pass through triangles (m, 3, 3), from the signs of five volumes."""
     start, end = ends[:, 0], ends[:, 1]
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
 
-    def volume(p: np.ndarray, q: np.ndarray, r: np.ndarray, s: np.ndarray) -> np.ndarray:
+    def volume(p: Points, q: Points, r: Points, s: Points) -> Float[np.ndarray, " pairs"]:
         return np.einsum("ij,ij->i", np.cross(q - p, r - p), s - p)
 
     sides = volume(a, b, c, start) * volume(a, b, c, end) < 0

@@ -18,6 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Shaped
 
 from jaxcrumple._jax.door import door
 from jaxcrumple.io.atomic import npz_bytes, to_json, write_bytes
@@ -130,7 +131,7 @@ def _describe(leaf: Any) -> dict[str, Any]:
     return {"dtype": str(value.dtype), "shape": list(value.shape), "kind": kind, "weak": weak}
 
 
-def _to_numpy(name: str, leaf: Any) -> np.ndarray:
+def _to_numpy(name: str, leaf: Any) -> Shaped[np.ndarray, " ..."]:
     native = isinstance(getattr(leaf, "dtype", np.dtype(float)), np.dtype)
     if not native or np.asarray(leaf).dtype.kind not in "biufc":
         dtype = getattr(leaf, "dtype", type(leaf).__name__)
@@ -176,7 +177,7 @@ def _read_members(path: Path) -> dict[str, bytes]:
         ) from error
 
 
-def _array(path: Path, members: dict[str, bytes], name: str) -> np.ndarray:
+def _array(path: Path, members: dict[str, bytes], name: str) -> Shaped[np.ndarray, " ..."]:
     try:
         return np.load(io.BytesIO(members[name]), allow_pickle=False)
     except Exception as error:

@@ -9,18 +9,19 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxcrumple.io.atomic import RunDirectoryError, npz_bytes
-from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import Mesh
 
 
 class Frame(NamedTuple):
     """One saved state: `t` s, `x` (n, 3) m, `v` (n, 3) m/s, `p` (h,) rest curvature or None if elastic."""
 
     t: float
-    x: FloatArray
-    v: FloatArray
-    p: FloatArray | None
+    x: Float[np.ndarray, "nodes 3"]
+    v: Float[np.ndarray, "nodes 3"]
+    p: Float[np.ndarray, " hinges"] | None
 
 
 def pack_frame(frame: Frame) -> bytes:
@@ -38,7 +39,7 @@ def unpack_frame(path: Path, data: bytes) -> Frame:
 
 
 #: Stiffness of the edges (e,) in N/m and of the hinges (h,) in J.
-Stiffness = tuple[FloatArray, FloatArray]
+Stiffness = tuple[Float[np.ndarray, " edges"], Float[np.ndarray, " hinges"]]
 _MESH, _STIFFNESS = ("vertices", "faces", "source_nodes"), ("stretch_stiffness", "bending_stiffness")
 
 

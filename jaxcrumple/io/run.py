@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 
 from jaxcrumple._jax.memory import FRAME, require
 from jaxcrumple.io.atomic import RunDirectoryError
 from jaxcrumple.io.rundir import RunDirectory
-from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import Mesh
 
 # Maximum number of attempts to read a folder that changes during the read.
 TRIES = 10
@@ -26,10 +27,10 @@ class Run:
     of the next stage.
     """
 
-    t: FloatArray  # (f,) times of the frames [s]
-    x: FloatArray  # (f, n, 3) positions [m]
-    v: FloatArray  # (f, n, 3) velocities [m/s]
-    p: FloatArray  # (f, h) rest curvature of the hinges; equal to that of the mesh in an elastic run
+    t: Float[np.ndarray, " frames"]  # (f,) times of the frames [s]
+    x: Float[np.ndarray, "frames nodes 3"]  # (f, n, 3) positions [m]
+    v: Float[np.ndarray, "frames nodes 3"]  # (f, n, 3) velocities [m/s]
+    p: Float[np.ndarray, "frames hinges"]  # (f, h) rest curvature; that of the mesh if elastic
     mesh: Mesh
     config: dict[str, Any]  # settings of the run
     summary: dict[str, Any]  # final result; empty if the run is in progress or was killed

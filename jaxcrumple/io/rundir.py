@@ -26,8 +26,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
+from jaxtyping import ArrayLike, Shaped
 
+from jaxcrumple._jax.arrays import HingeValuesLike, NodeVectorsLike
 from jaxcrumple.io.atomic import (
     RunDirectoryError,
     discard,
@@ -250,7 +251,7 @@ class RunDirectory:
 
     # Writing. New data belongs to the run only after `commit` or `finish`.
 
-    def save_frame(self, t: float, x: ArrayLike, v: ArrayLike, p: ArrayLike | None) -> None:
+    def save_frame(self, t: float, x: NodeVectorsLike, v: NodeVectorsLike, p: HingeValuesLike | None) -> None:
         """Write the next frame.
 
         `t` in s; `x`, `v` (n, 3) in m and m/s; `p` (h,), or None if elastic.
@@ -261,7 +262,7 @@ class RunDirectory:
         entry = write_part(self.path / frame_name(index), data)
         self._frames.append([[index, float(t), *entry]])
 
-    def append_history(self, rows: ArrayLike) -> None:
+    def append_history(self, rows: Shaped[ArrayLike, "rows columns"] | Sequence[Sequence[Any]]) -> None:
         """Append rows (r, columns) to the history. Stages may be numbers or names; the file stores names."""
         names = self.history.columns
         values = np.asarray(rows, dtype=object).reshape(-1, len(names))

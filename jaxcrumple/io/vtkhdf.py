@@ -13,8 +13,9 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-from numpy.typing import ArrayLike
+from jaxtyping import ArrayLike, Float, Real
 
+from jaxcrumple._jax.arrays import HingeValuesLike, ScalarLike
 from jaxcrumple.io.atomic import write_bytes
 from jaxcrumple.io.frames import Frame
 from jaxcrumple.measure import (
@@ -24,10 +25,10 @@ from jaxcrumple.measure import (
     mean_curvature,
     node_damage,
 )
-from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import Mesh
 
 #: Data at the points or cells, by name, each a function of the frame.
-Fields = Mapping[str, Callable[[Frame], ArrayLike]]
+Fields = Mapping[str, Callable[[Frame], Real[ArrayLike, " ..."]]]
 
 _TRIANGLE = 5  # cell type of a triangle in VTK
 
@@ -65,7 +66,9 @@ def write_vtkhdf(
     return len(times)
 
 
-def sheet_fields(mesh: Mesh, ks: ArrayLike, stiffness: ArrayLike) -> tuple[Fields, Fields]:
+def sheet_fields(
+    mesh: Mesh, ks: Real[ArrayLike, " edges"] | ScalarLike, stiffness: HingeValuesLike
+) -> tuple[Fields, Fields]:
     """Return the standard data of a film.
 
     Points: velocity, mean curvature, damage. Cells: stretching and bending energy density, plastic curvature.
@@ -74,7 +77,7 @@ def sheet_fields(mesh: Mesh, ks: ArrayLike, stiffness: ArrayLike) -> tuple[Field
     `bending.stiffness`.
     """
 
-    def rest(frame: Frame) -> FloatArray:
+    def rest(frame: Frame) -> Float[np.ndarray, " hinges"]:
         return mesh.rest_curvature if frame.p is None else frame.p
 
     points: Fields = {
@@ -112,7 +115,7 @@ def _append(root: h5py.Group, mesh: Mesh, frame: Frame, fields: Mapping[str, Fie
     return frame.t
 
 
-def _extend(root: h5py.Group, name: str, values: np.ndarray, length: int) -> None:
+def _extend(root: h5py.Group, name: str, values: Float[np.ndarray, " ..."], length: int) -> None:
     """Append the rows of one frame to a dataset as one chunk."""
     if values.shape not in ((length,), (length, 3)):
         raise ValueError(f"{name} has shape {values.shape}; give ({length},) or ({length}, 3)")
@@ -126,7 +129,9 @@ def _extend(root: h5py.Group, name: str, values: np.ndarray, length: int) -> Non
     data[-length:] = values
 
 
-def _write_steps(root: h5py.Group, mesh: Mesh, times: FloatArray, fields: Mapping[str, Fields]) -> None:
+def _write_steps(
+    root: h5py.Group, mesh: Mesh, times: Float[np.ndarray, " times"], fields: Mapping[str, Fields]
+) -> None:
     """Write the offset of each time step in the datasets; all steps share the faces at offset 0."""
     count = len(times)
     index = np.arange(count)

@@ -12,15 +12,23 @@ from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from jaxcrumple._jax.tree import as_float, is_known
-from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import Mesh
 
 MAX_C0 = 1.99
 """Largest c0 of a hinge. |c| is at most 2, so c0 >= 2 would never yield, and (35) divides by 2 - c0."""
 
 DEFAULT_YIELD_CURVATURE = 200.0
 """[1/m]: yield at a radius of 5 mm, 2.5 % strain at the surface of a sheet 0.25 mm thick."""
+
+
+# Arrays of the host, or of JAX for a material with traced numbers.
+_Nodes = Float[np.ndarray, " nodes"] | Float[Array, " nodes"]
+_Edges = Float[np.ndarray, " edges"] | Float[Array, " edges"]
+_Hinges = Float[np.ndarray, " hinges"] | Float[Array, " hinges"]
+_Nodal = float | Float[np.ndarray, " nodes"]
 
 
 class _Default:
@@ -60,13 +68,13 @@ class Material:
 
     young_modulus: float = 1e9
     """Y, three-dimensional [Pa]."""
-    thickness: float | FloatArray = 0.25e-3
+    thickness: _Nodal = 0.25e-3
     """h [m]."""
     density: float = 1000.0
     """[kg/m^3]."""
-    yield_curvature: float | FloatArray | None = _DEFAULT
+    yield_curvature: _Nodal | None = _DEFAULT
     """Onset of plastic flow [1/m]; 200 unless `yield_c0` is given."""
-    yield_c0: float | FloatArray | None = None
+    yield_c0: _Nodal | None = None
     """c0 of (35), dimensionless."""
     gamma: float = 0.0
     """gamma of (35), dimensionless. It enters only as `plastic_time * (1 + gamma)`."""
@@ -98,22 +106,22 @@ class Material:
         return self.yield_curvature is None and self.yield_c0 is None
 
     @property
-    def young_modulus_2d(self) -> float | FloatArray:
+    def young_modulus_2d(self) -> _Nodal:
         """Y_2D = Y h [N/m], below (22)."""
         return self.young_modulus * self.thickness
 
     @property
-    def spring_constant(self) -> float | FloatArray:
+    def spring_constant(self) -> _Nodal:
         """ks = sqrt(3)/2 Y_2D [N/m], (10)."""
         return math.sqrt(3) / 2 * self.young_modulus_2d
 
     @property
-    def bending_constant(self) -> float | FloatArray:
+    def bending_constant(self) -> _Nodal:
         """kb = ks h^2 / 8 [J], (23) with h_eff = h."""
         return self.spring_constant * self.thickness**2 / 8
 
     @property
-    def bending_rigidity(self) -> float | FloatArray:
+    def bending_rigidity(self) -> _Nodal:
         """kappa = sqrt(3)/2 kb [J], (14)."""
         return math.sqrt(3) / 2 * self.bending_constant
 
@@ -144,13 +152,13 @@ class Material:
             a_ref=_number(ks.mean() / (mass.mean() * mesh.linear_density)),
         )
 
-    def _node_mass(self, mesh: Mesh) -> FloatArray:
+    def _node_mass(self, mesh: Mesh) -> _Nodes:
         mass = self.density * self.thickness * mesh.node_area
         if self.mass_lumping == "uniform":
             return self._numpy.broadcast_to(mass.mean(), mass.shape)
         return mass
 
-    def _yield_point(self, mesh: Mesh) -> FloatArray | None:
+    def _yield_point(self, mesh: Mesh) -> _Hinges | None:
         if self.yield_c0 is not None:
             return self._numpy.minimum(_edge_mean(self.yield_c0, mesh)[mesh.hinge_edges], MAX_C0)
         if self.yield_curvature is None:
@@ -168,17 +176,17 @@ class Material:
 class ModelConstants:
     """Constants of the discrete model on one mesh of n nodes, e springs and h hinges."""
 
-    ks: FloatArray
+    ks: _Edges
     """(e,) spring constants of (11) [N/m]."""
-    kb: FloatArray
+    kb: _Hinges
     """(h,) bending constants of (20) [J]."""
-    mass: FloatArray
+    mass: _Nodes
     """(n,) node masses [kg]."""
-    drag: FloatArray
+    drag: _Nodes
     """(n,) b_iso of (24) [kg/s]."""
-    b_int: FloatArray
+    b_int: _Edges
     """(e,) b_int of (25) [kg/s]."""
-    c0: FloatArray | None
+    c0: _Hinges | None
     """(h,) dimensionless yield curvatures of (35), at most `MAX_C0`, or None for an elastic sheet."""
     plastic_time: float
     """Time scale of the plastic flow [s]."""
@@ -190,7 +198,7 @@ class ModelConstants:
     """Reference acceleration ks / (m lambda) with the means of ks and m and lambda = sqrt(n / A) [m/s^2]."""
 
 
-def _edge_mean(nodal: float | FloatArray, mesh: Mesh) -> FloatArray:
+def _edge_mean(nodal: _Nodal, mesh: Mesh) -> _Edges:
     numpy = np if is_known(nodal) else jnp
     return numpy.broadcast_to(nodal, mesh.n_nodes)[mesh.edges].mean(axis=1)
 

@@ -6,9 +6,11 @@ inertia, positions would change by more than a given fraction of the size of the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
+from jaxtyping import ArrayLike, Float, Int, Real
 
 from jaxcrumple.replay.snaps import HIGH, REST
 from jaxcrumple.solvers.log import STEP
@@ -47,14 +49,23 @@ def avalanches(
     return pd.DataFrame(rows, columns=["begin", "end", "peak", "released"])
 
 
-def _row(t, share, energy, work, part: np.ndarray, rest: float) -> tuple[float, float, float, float]:
+def _row(
+    t: Float[np.ndarray, " steps"],
+    share: Float[np.ndarray, " steps"],
+    energy: Float[np.ndarray, " steps"],
+    work: Float[np.ndarray, " steps"],
+    part: Int[np.ndarray, " part"],
+    rest: float,
+) -> tuple[float, float, float, float]:
     before = max(part[0] - 1, 0)
     end = min(int(np.searchsorted(t, t[part[-1]] + rest)), len(t) - 1)
     released = energy[before] - energy[end] + work[end] - work[before]
     return float(t[before]), float(t[end]), float(share[part].max()), float(released)
 
 
-def power_law_exponent(values: ArrayLike, least: float) -> tuple[float, float]:
+def power_law_exponent(
+    values: Real[ArrayLike, " values"] | Sequence[float], least: float
+) -> tuple[float, float]:
     """Fit the density $x^{-\\alpha}$ to all `values` >= `least` by maximum likelihood.
 
     Return the exponent and its standard error (Clauset, Shalizi & Newman, SIAM Review 51 (2009) 661, eqs. 3.1

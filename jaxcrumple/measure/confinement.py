@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import ArrayLike
 
+from jaxcrumple._jax.arrays import NodeVectorsLike
 from jaxcrumple._jax.door import door
 from jaxcrumple.model.walls import Wall
 
 
 @door
-def wall_force(wall: Wall, x: ArrayLike, t: float) -> float:
+def wall_force(wall: Wall, x: NodeVectorsLike, t: float) -> float:
     """Return the total normal force in N of the sheet on a wall.
 
     `x` (n, 3): positions in m; `t`: time in s. For a shrinking sphere this is $F(R) = -dU/dR$, pressure times

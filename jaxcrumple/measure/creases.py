@@ -7,17 +7,18 @@ from the side to which the face normals point.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from jaxtyping import Bool, Float, Int
 
+from jaxcrumple._jax.arrays import HingeValuesLike, NodeVectorsLike
 from jaxcrumple.measure.strain import check_finite, positions
-from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import Mesh
 
 #: Change of the rest curvature above which a hinge is damaged. The smoothstep yield law flows slightly below
 #: yield, so a threshold of zero would count too many hinges; see `crease_length` for the sensitivity.
 DAMAGE = 0.05
 
 
-def hinge_angles(mesh: Mesh, x: ArrayLike) -> FloatArray:
+def hinge_angles(mesh: Mesh, x: NodeVectorsLike) -> Float[np.ndarray, " hinges"]:
     """Return the signed angle (h,), -pi to pi rad, between the face normals of a hinge; `x` (n, 3) in m."""
     corners = positions(mesh, x)[mesh.hinges]
     e0, e1, e2 = (corners[:, k] - corners[:, 0] for k in (1, 2, 3))
@@ -27,12 +28,12 @@ def hinge_angles(mesh: Mesh, x: ArrayLike) -> FloatArray:
     return np.arctan2(sine, np.einsum("hi,hi->h", n1, n2))
 
 
-def hinge_curvature(mesh: Mesh, x: ArrayLike) -> FloatArray:
+def hinge_curvature(mesh: Mesh, x: NodeVectorsLike) -> Float[np.ndarray, " hinges"]:
     """Return the dimensionless curvature (h,) $c = 2 \\sin(\\theta/2)$ of each hinge (eq. 33)."""
     return 2.0 * np.sin(0.5 * hinge_angles(mesh, x))
 
 
-def mean_curvature(mesh: Mesh, x: ArrayLike) -> FloatArray:
+def mean_curvature(mesh: Mesh, x: NodeVectorsLike) -> Float[np.ndarray, " nodes"]:
     """Return the mean curvature (n,) $H = c_1 + c_2$ in 1/m at the nodes: 1/R on a cylinder, 2/R on a sphere.
 
     The integral of H over a hinge is $|e_0| \\theta$ (Cohen-Steiner & Morvan 2003, there for $H/2$). Each end
@@ -53,7 +54,7 @@ def mean_curvature(mesh: Mesh, x: ArrayLike) -> FloatArray:
     return np.divide(integral, area, out=np.zeros(mesh.n_nodes), where=area > 0)
 
 
-def _circumcentric_area(mesh: Mesh) -> FloatArray:
+def _circumcentric_area(mesh: Mesh) -> Float[np.ndarray, " hinges"]:
     """Return the area (h,) in m2 between half a shared edge and both circumcentres; < 0 if not Delaunay."""
     x0, x1, *opposite = np.moveaxis(mesh.vertices[mesh.hinges], 1, 0)
     cotangents = sum(
@@ -63,7 +64,7 @@ def _circumcentric_area(mesh: Mesh) -> FloatArray:
     return mesh.hinge_length**2 * cotangents / 8.0
 
 
-def damaged(mesh: Mesh, p: ArrayLike, threshold: float = DAMAGE) -> NDArray[np.bool_]:
+def damaged(mesh: Mesh, p: HingeValuesLike, threshold: float = DAMAGE) -> Bool[np.ndarray, " hinges"]:
     """Return a mask (h,) of the hinges whose rest curvature `p` (h,) changed by more than `threshold`.
 
     **Raises:** ValueError for a threshold below 0, and as `plastic_curvature`.
@@ -73,7 +74,7 @@ def damaged(mesh: Mesh, p: ArrayLike, threshold: float = DAMAGE) -> NDArray[np.b
     return np.abs(plastic_curvature(mesh, p)) > threshold
 
 
-def plastic_curvature(mesh: Mesh, p: ArrayLike) -> FloatArray:
+def plastic_curvature(mesh: Mesh, p: HingeValuesLike) -> Float[np.ndarray, " hinges"]:
     """Return the change (h,) of the rest curvature `p` (h,) from the undeformed sheet, dimensionless.
 
     **Raises:** ValueError unless `p` has one finite value for each hinge.
@@ -87,7 +88,7 @@ def plastic_curvature(mesh: Mesh, p: ArrayLike) -> FloatArray:
     return p - mesh.rest_curvature
 
 
-def crease_pattern(mesh: Mesh, p: ArrayLike, threshold: float = DAMAGE) -> NDArray[np.int8]:
+def crease_pattern(mesh: Mesh, p: HingeValuesLike, threshold: float = DAMAGE) -> Int[np.ndarray, " hinges"]:
     """Return the sign (h,) of the creases, from the rest curvature `p` (h,) of the hinges.
 
     1: mountain (convex seen from the side of the face normals), -1: valley, 0: hinge not damaged.
@@ -95,14 +96,14 @@ def crease_pattern(mesh: Mesh, p: ArrayLike, threshold: float = DAMAGE) -> NDArr
     return np.where(damaged(mesh, p, threshold), np.sign(plastic_curvature(mesh, p)), 0).astype(np.int8)
 
 
-def mountain_valley_length(mesh: Mesh, p: ArrayLike, threshold: float = DAMAGE) -> tuple[float, float]:
+def mountain_valley_length(mesh: Mesh, p: HingeValuesLike, threshold: float = DAMAGE) -> tuple[float, float]:
     """Return the rest lengths in m of mountains and of valleys; their sum is `crease_length`."""
     pattern = crease_pattern(mesh, p, threshold)
     mountain, valley = (float(mesh.hinge_length[pattern == sign].sum()) for sign in (1, -1))
     return mountain, valley
 
 
-def crease_length(mesh: Mesh, p: ArrayLike, threshold: float = DAMAGE) -> float:
+def crease_length(mesh: Mesh, p: HingeValuesLike, threshold: float = DAMAGE) -> float:
     """Return the total rest length in m of the damaged hinges.
 
     It depends on the mesh: a straight crease of length L follows a zig-zag of edges longer than L. Compare
@@ -111,7 +112,7 @@ def crease_length(mesh: Mesh, p: ArrayLike, threshold: float = DAMAGE) -> float:
     return float(mesh.hinge_length[damaged(mesh, p, threshold)].sum())
 
 
-def node_damage(mesh: Mesh, p: ArrayLike) -> FloatArray:
+def node_damage(mesh: Mesh, p: HingeValuesLike) -> Float[np.ndarray, " nodes"]:
     """Return the largest $|p - p_{rest}|$ (n,) of the hinges whose shared edge ends at a node, or 0."""
     out = np.zeros(mesh.n_nodes)
     size = np.abs(plastic_curvature(mesh, p))
@@ -120,11 +121,13 @@ def node_damage(mesh: Mesh, p: ArrayLike) -> FloatArray:
     return out
 
 
-def folded_hinges(mesh: Mesh, x: ArrayLike, limit_deg: float = 170.0) -> int:
+def folded_hinges(mesh: Mesh, x: NodeVectorsLike, limit_deg: float = 170.0) -> int:
     """Return the number of hinges with |angle| > `limit_deg` degrees; 180 degrees is a fully closed fold."""
     return int(np.count_nonzero(np.abs(hinge_angles(mesh, x)) > np.deg2rad(limit_deg)))
 
 
-def _to_nodes(ends: NDArray, values: FloatArray, n: int) -> FloatArray:
+def _to_nodes(
+    ends: Int[np.ndarray, "hinges 2"], values: Float[np.ndarray, " hinges"], n: int
+) -> Float[np.ndarray, " nodes"]:
     """Add hinge `values` (h,) to both `ends` (h, 2) of the shared edges: sums (n,) at the nodes."""
     return np.bincount(ends.ravel(), weights=np.repeat(values, 2), minlength=n).astype(float)

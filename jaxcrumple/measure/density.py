@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from jaxtyping import ArrayLike, Float, Int, Real
 
+from jaxcrumple._jax.arrays import HingeValuesLike, NodeVectorsLike, ScalarLike
 from jaxcrumple._jax.door import door
 from jaxcrumple.measure.creases import hinge_angles, plastic_curvature
 from jaxcrumple.measure.strain import edge_length
-from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.model.bending import hinge_energy
 
 
 @door
-def face_stretch_density(mesh: Mesh, x: ArrayLike, ks: ArrayLike) -> FloatArray:
+def face_stretch_density(
+    mesh: Mesh, x: NodeVectorsLike, ks: Real[ArrayLike, " edges"] | ScalarLike
+) -> Float[np.ndarray, " faces"]:
     """Return the stretching energy per rest area (f,) in J/m2 at positions `x` (n, 3) in m.
 
     `ks`: spring constants (e,), or one for all edges, in N/m. The faces of an edge share its energy (eq. 11)
@@ -27,7 +30,9 @@ def face_stretch_density(mesh: Mesh, x: ArrayLike, ks: ArrayLike) -> FloatArray:
 
 
 @door
-def face_bending_density(mesh: Mesh, x: ArrayLike, p: ArrayLike, stiffness: ArrayLike) -> FloatArray:
+def face_bending_density(
+    mesh: Mesh, x: NodeVectorsLike, p: HingeValuesLike, stiffness: HingeValuesLike
+) -> Float[np.ndarray, " faces"]:
     """Return the stored bending energy per rest area (f,) in J/m2 at positions `x` (n, 3) in m.
 
     `p`: rest curvature (h,); `stiffness`: $K = k_b \\sqrt3 |e_0|^2/(2 \\bar A)$ (h,) in J, as in
@@ -39,20 +44,20 @@ def face_bending_density(mesh: Mesh, x: ArrayLike, p: ArrayLike, stiffness: Arra
     return _to_faces(mesh, 0.5 * np.asarray(energy)) / mesh.face_area
 
 
-def face_plastic_curvature(mesh: Mesh, p: ArrayLike) -> FloatArray:
+def face_plastic_curvature(mesh: Mesh, p: HingeValuesLike) -> Float[np.ndarray, " faces"]:
     """Return the mean (f,) of $|p - p_{rest}|$ over the hinges of each face, dimensionless, or 0."""
     count = _to_faces(mesh, np.ones(len(mesh.hinges)))
     return _to_faces(mesh, np.abs(plastic_curvature(mesh, p))) / np.maximum(count, 1.0)
 
 
-def face_edges(mesh: Mesh) -> NDArray[np.intp]:
+def face_edges(mesh: Mesh) -> Int[np.ndarray, "faces 3"]:
     """Return the rows (f, 3) of `mesh.edges` that bound each face."""
     pairs = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].astype(np.int64), axis=2)
     keys = mesh.edges[:, 0].astype(np.int64) * mesh.n_nodes + mesh.edges[:, 1]  # ascending, see Mesh
     return np.searchsorted(keys, pairs[..., 0] * mesh.n_nodes + pairs[..., 1])
 
 
-def _to_faces(mesh: Mesh, values: FloatArray) -> FloatArray:
+def _to_faces(mesh: Mesh, values: Float[np.ndarray, " hinges"]) -> Float[np.ndarray, " faces"]:
     """Add hinge `values` (h,) to both faces of each hinge: sums (f,) on the faces."""
     return np.bincount(
         mesh.hinge_faces.ravel(), weights=np.repeat(values, 2), minlength=len(mesh.faces)

@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from jaxtyping import ArrayLike, Float, Real
 
+from jaxcrumple._jax.arrays import HingeValuesLike, NodeVectorsLike
 from jaxcrumple._jax.memory import require
 from jaxcrumple.measure.creases import DAMAGE, damaged, hinge_angles, mean_curvature
-from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import Mesh
 
 
 class Distribution(NamedTuple):
     """A histogram, normalised as a density with integral 1."""
 
-    edges: FloatArray  # (b + 1,) bounds of the bins
-    density: FloatArray  # (b,) probability density, per unit of the variable
+    edges: Float[np.ndarray, " bounds"]  # (b + 1,) bounds of the bins
+    density: Float[np.ndarray, " bins"]  # (b,) probability density, per unit of the variable
 
 
 def fold_angle_distribution(
-    mesh: Mesh, x: ArrayLike, p: ArrayLike, *, threshold: float = DAMAGE, bins: int | ArrayLike = 36
+    mesh: Mesh,
+    x: NodeVectorsLike,
+    p: HingeValuesLike,
+    *,
+    threshold: float = DAMAGE,
+    bins: int | Real[ArrayLike, " bounds"] | Sequence[float] = 36,
 ) -> Distribution:
     """Return the density per rad of the signed angle at damaged hinges, weighted by rest length.
 
@@ -42,7 +49,9 @@ def fold_angle_distribution(
     return _histogram(hinge_angles(mesh, x)[creases], mesh.hinge_length[creases], bins)
 
 
-def curvature_distribution(mesh: Mesh, x: ArrayLike, *, bins: int | ArrayLike = 100) -> Distribution:
+def curvature_distribution(
+    mesh: Mesh, x: NodeVectorsLike, *, bins: int | Real[ArrayLike, " bounds"] | Sequence[float] = 100
+) -> Distribution:
     """Return the density of the nodal `mean_curvature` (per 1/m), weighted by the rest area of the nodes.
 
     **Arguments:** `x` (n, 3) in m; `bins`: number of bins from the lowest to the highest curvature, or their
@@ -53,15 +62,19 @@ def curvature_distribution(mesh: Mesh, x: ArrayLike, *, bins: int | ArrayLike = 
     return _histogram(mean_curvature(mesh, x), mesh.node_area, bins)
 
 
-def _check_bins(bins: int | ArrayLike) -> None:
+def _check_bins(bins: int | Real[ArrayLike, " bounds"] | Sequence[float]) -> None:
     if np.ndim(bins) == 0:
         count = float(bins)  # type: ignore[arg-type]
         require(24.0 * count, f"a distribution of {count:.4g} bins", "choose fewer")
 
 
-def _histogram(values: FloatArray, weights: FloatArray, bins: int | ArrayLike) -> Distribution:
+def _histogram(
+    values: Float[np.ndarray, " values"],
+    weights: Float[np.ndarray, " values"],
+    bins: int | Real[ArrayLike, " bounds"] | Sequence[float],
+) -> Distribution:
     _check_bins(bins)
-    edges = np.histogram_bin_edges(values, bins)  # type: ignore[arg-type]
+    edges = np.histogram_bin_edges(values, bins)
     if values.min() < edges[0] or values.max() > edges[-1]:
         raise ValueError(
             f"bins from {edges[0]:.4g} to {edges[-1]:.4g} leave out some values, which range from"

@@ -14,15 +14,16 @@ from typing import NamedTuple
 
 import numpy as np
 import skimage as ski  # skimage imports its submodules lazily
-from numpy.typing import ArrayLike, NDArray
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import distance_transform_edt, label
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.stats import mode
 
+from jaxcrumple._jax.arrays import HingeValuesLike
 from jaxcrumple.measure.creases import DAMAGE, damaged, plastic_curvature
 from jaxcrumple.measure.raster import Raster
-from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import Mesh
 
 #: Least plastic fold angle of a crease in rad, summed over the damage within its width.
 FOLD = 0.2
@@ -38,13 +39,13 @@ _FLAT = 0.9  # least ratio of projected to true area of a triangle; below 1 to a
 class Facets(NamedTuple):
     """Facets, numbered in the order of their first triangle."""
 
-    label: NDArray[np.intp]  # (f,) facet of each triangle, from 0; each facet is connected
-    area: FloatArray  # (k,) rest area of each facet [m^2]; the sum is the area of the sheet
+    label: Int[np.ndarray, " faces"]  # (f,) facet of each triangle, from 0; each facet is connected
+    area: Float[np.ndarray, " facets"]  # (k,) rest area of each facet [m^2]; the sum is the area of the sheet
 
 
 def segment_facets(
     mesh: Mesh,
-    p: ArrayLike,
+    p: HingeValuesLike,
     *,
     threshold: float = DAMAGE,
     fold: float = FOLD,
@@ -82,12 +83,14 @@ def segment_facets(
     return _facets(mesh, _merged(mesh, regions, creased, closed))
 
 
-def _hinge_fold(mesh: Mesh, p: ArrayLike) -> FloatArray:
+def _hinge_fold(mesh: Mesh, p: HingeValuesLike) -> Float[np.ndarray, " hinges"]:
     """Return the plastic fold angle (h,) $2 \\arcsin(|p|/2)$ in rad of each hinge (eq. 33)."""
     return 2 * np.arcsin(np.minimum(np.abs(plastic_curvature(mesh, p)) / 2, 1.0))
 
 
-def _fold_across(mesh: Mesh, angle: FloatArray, raster: Raster, sigma: float) -> FloatArray:
+def _fold_across(
+    mesh: Mesh, angle: Float[np.ndarray, " hinges"], raster: Raster, sigma: float
+) -> Float[np.ndarray, " hinges"]:
     """Return the fold angle (h,) in rad across the crease at the middle of each hinge.
 
     A Gaussian of standard deviation `sigma` in m spreads the hinge `angle` (h,) times hinge length. A
@@ -99,7 +102,9 @@ def _fold_across(mesh: Mesh, angle: FloatArray, raster: Raster, sigma: float) ->
     return np.sqrt(2 * np.pi) * sigma * density[raster.pixels(ends.mean(axis=1))]
 
 
-def _regions(mesh: Mesh, raster: Raster, angle: FloatArray, width: float) -> NDArray[np.intp]:
+def _regions(
+    mesh: Mesh, raster: Raster, angle: Float[np.ndarray, " hinges"], width: float
+) -> Int[np.ndarray, " faces"]:
     """Return the region (f,) of each triangle, from 1, bounded by necks and by folded hinges.
 
     The watershed floods each region from its middle to its necks, then crosses creases in the order of
@@ -117,7 +122,9 @@ def _regions(mesh: Mesh, raster: Raster, angle: FloatArray, width: float) -> NDA
     return mode(raster.on_faces(mesh, image), axis=1).mode
 
 
-def _connected(mesh: Mesh, regions: NDArray[np.intp], angle: FloatArray) -> NDArray[np.intp]:
+def _connected(
+    mesh: Mesh, regions: Int[np.ndarray, " faces"], angle: Float[np.ndarray, " hinges"]
+) -> Int[np.ndarray, " faces"]:
     """Return the regions (f,) reduced to their largest connected piece; reassign all other triangles.
 
     Such triangles are few: the majority of their pixels belongs to a region that is not adjacent. Each takes
@@ -133,7 +140,7 @@ def _connected(mesh: Mesh, regions: NDArray[np.intp], angle: FloatArray) -> NDAr
     return regions
 
 
-def _strays(mesh: Mesh, regions: NDArray[np.intp]) -> NDArray[np.bool_]:
+def _strays(mesh: Mesh, regions: Int[np.ndarray, " faces"]) -> Bool[np.ndarray, " faces"]:
     """Return a mask (f,) of the triangles outside the largest connected piece of their region."""
     sides = mesh.hinge_faces[np.equal(*regions[mesh.hinge_faces].T)]
     links = coo_array((np.ones(len(sides)), sides.T), shape=(len(regions), len(regions)))
@@ -144,7 +151,9 @@ def _strays(mesh: Mesh, regions: NDArray[np.intp]) -> NDArray[np.bool_]:
     return piece != largest[regions]
 
 
-def _merged(mesh: Mesh, regions: NDArray, creased: NDArray[np.bool_], closed: float) -> NDArray[np.intp]:
+def _merged(
+    mesh: Mesh, regions: Int[np.ndarray, " faces"], creased: Bool[np.ndarray, " hinges"], closed: float
+) -> Int[np.ndarray, " faces"]:
     """Merge regions (f,) until all borders are `creased` (h,) over the fraction `closed` of their length."""
     graph = ski.graph.RAG()
     graph.add_nodes_from((int(r), {"labels": [int(r)]}) for r in np.unique(regions))
@@ -171,7 +180,7 @@ def _border(parts: list[dict[str, float]]) -> dict[str, float]:
     return {"length": length, "creased": creased, "weight": creased / length}
 
 
-def _facets(mesh: Mesh, regions: NDArray) -> Facets:
+def _facets(mesh: Mesh, regions: Int[np.ndarray, " faces"]) -> Facets:
     _, first, number = np.unique(regions, return_index=True, return_inverse=True)
     number = np.argsort(np.argsort(first))[number]
     return Facets(number, np.bincount(number, weights=mesh.face_area).astype(float))

@@ -14,13 +14,12 @@ distribution of parameter $a/2$. The case a = 2 is a random split in two (McGrad
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from jaxtyping import ArrayLike, Float, Real
 from scipy.stats import expon, gamma, kstest, lognorm
-
-from jaxcrumple.mesh.mesh import FloatArray
 
 #: $\\tau$ of $a = \\sqrt{t/\\tau}$, dimensionless.
 TAU = 24.04
@@ -64,18 +63,22 @@ def maturity(mean: float) -> Maturity:
     return Maturity(a, TAU * a**2)
 
 
-def area_density(xi: ArrayLike, a: float) -> FloatArray:
+def area_density(
+    xi: Real[ArrayLike, " *points"] | Sequence[float], a: float
+) -> Float[np.ndarray, " *points"] | float:
     """Return the density $\\phi$ of `xi` > 0, area / mean area, for the law of shape `a` > 0."""
     u = np.sqrt(a * (a + 1) * np.asarray(xi, dtype=np.float64))
     return gamma.pdf(u, a) * a * (a + 1) / (2 * u)
 
 
-def area_cdf(xi: ArrayLike, a: float) -> FloatArray:
+def area_cdf(
+    xi: Real[ArrayLike, " *points"] | Sequence[float], a: float
+) -> Float[np.ndarray, " *points"] | float:
     """Return the fraction $P(a, \\sqrt{a(a+1)\\xi})$ of facets up to `xi` times the mean area; `a` > 0."""
     return gamma.cdf(np.sqrt(a * (a + 1) * np.asarray(xi, dtype=np.float64)), a)
 
 
-def fit_areas(areas: ArrayLike, sheets: int = 1) -> AreaFit:
+def fit_areas(areas: Real[ArrayLike, " facets"] | Sequence[float], sheets: int = 1) -> AreaFit:
     """Compare facet areas with the laws of `AreaFit`.
 
     **Arguments:** `areas` (k,): all facets of one sheet, or of `sheets` equal sheets, in any unit.

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
+from jaxtyping import ArrayLike, Float, Real
 from scipy.optimize import least_squares
 
-from jaxcrumple.mesh.mesh import FloatArray
-
 #: Growth laws with two constants each, as functions of the cycle n, c1 and c2.
-LAWS: dict[str, Callable[[FloatArray, float, float], FloatArray]] = {
+LAWS: dict[str, Callable[[Float[np.ndarray, " cycles"], float, float], Float[np.ndarray, " cycles"]]] = {
     "logarithmic": lambda n, c1, c2: c1 * np.log1p(c2 * n),
     "linear": lambda n, c1, c2: c1 + c2 * n,
     "power": lambda n, c1, c2: c1 * n**c2,
@@ -23,7 +21,9 @@ _DECADES = 6  # search range of c2 of the logarithmic law, on both sides of 1 / 
 _STEEPEST = 10.0  # largest exponent of the power law
 
 
-def fit_growth(cycle: ArrayLike, length: ArrayLike) -> pd.DataFrame:
+def fit_growth(
+    cycle: Real[ArrayLike, " cycles"] | Sequence[float], length: Real[ArrayLike, " cycles"] | Sequence[float]
+) -> pd.DataFrame:
     """Fit three laws to the crease `length` (m,) in m after each `cycle` (m,), from 1, by least squares.
 
     The laws are "logarithmic", $c_1 \\ln(1 + c_2 n)$ (Gottesman et al., Communications Physics 1 (2018) 70),
@@ -48,30 +48,33 @@ def fit_growth(cycle: ArrayLike, length: ArrayLike) -> pd.DataFrame:
     return table.sort_values("rss")
 
 
-def _logarithmic(n: FloatArray, y: FloatArray) -> tuple[float, float]:
+def _logarithmic(n: Float[np.ndarray, " cycles"], y: Float[np.ndarray, " cycles"]) -> tuple[float, float]:
     limit = _DECADES * np.log(10.0)
     c1, q = _separable(n, y, lambda q: np.log1p(np.exp(q) * n / n.max()), (-limit, limit))
     return c1, float(np.exp(q) / n.max())
 
 
-def _linear(n: FloatArray, y: FloatArray) -> tuple[float, float]:
+def _linear(n: Float[np.ndarray, " cycles"], y: Float[np.ndarray, " cycles"]) -> tuple[float, float]:
     slope, start = np.polyfit(n, y, 1)
     return float(start), float(slope)
 
 
-def _power(n: FloatArray, y: FloatArray) -> tuple[float, float]:
+def _power(n: Float[np.ndarray, " cycles"], y: Float[np.ndarray, " cycles"]) -> tuple[float, float]:
     return _separable(n, y, lambda q: n**q, (-_STEEPEST, _STEEPEST))
 
 
 def _separable(
-    n: FloatArray, y: FloatArray, basis: Callable[[float], FloatArray], bounds: tuple[float, float]
+    n: Float[np.ndarray, " cycles"],
+    y: Float[np.ndarray, " cycles"],
+    basis: Callable[[float], Float[np.ndarray, " cycles"]],
+    bounds: tuple[float, float],
 ) -> tuple[float, float]:
     """Minimise |`c * basis(q) - y`|^2 with c eliminated (variable projection); return c and q."""
 
     def factor(q: float) -> float:
         return float(basis(q) @ y / (basis(q) @ basis(q)))
 
-    def residual(q: FloatArray) -> FloatArray:
+    def residual(q: Float[np.ndarray, " 1"]) -> Float[np.ndarray, " cycles"]:
         return (factor(q[0]) * basis(q[0]) - y) / np.linalg.norm(y)
 
     starts = np.linspace(*bounds, 9)[1:-1]
@@ -80,7 +83,7 @@ def _separable(
     return factor(q), q
 
 
-def _aicc(rss: float, y: FloatArray) -> float:
+def _aicc(rss: float, y: Float[np.ndarray, " cycles"]) -> float:
     m, k = len(y), _CONSTANTS + 1
     if m <= k + 1:
         return float("nan")
@@ -88,7 +91,9 @@ def _aicc(rss: float, y: FloatArray) -> float:
     return float(m * np.log(variance) + 2 * k + 2 * k * (k + 1) / (m - k - 1))
 
 
-def _checked(cycle: ArrayLike, length: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def _checked(
+    cycle: Real[ArrayLike, " cycles"] | Sequence[float], length: Real[ArrayLike, " cycles"] | Sequence[float]
+) -> tuple[Float[np.ndarray, " cycles"], Float[np.ndarray, " cycles"]]:
     n, y = np.asarray(cycle, dtype=np.float64), np.asarray(length, dtype=np.float64)
     if n.ndim != 1 or n.shape != y.shape:
         raise ValueError(f"cycle has shape {n.shape}, length {y.shape}; give one length for each cycle")

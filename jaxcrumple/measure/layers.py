@@ -9,15 +9,18 @@ radius. A chord that meets a mesh edge exactly pierces both triangles of the edg
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from jaxtyping import ArrayLike, Float, Int, Real
 
+from jaxcrumple._jax.arrays import NodeVectorsLike
 from jaxcrumple.geometry.intersections import close_pairs, pierces
 from jaxcrumple.measure.shells import center_of_mass, normals
 from jaxcrumple.measure.strain import positions
-from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import Mesh
 
 
-def chord_layers(mesh: Mesh, x: ArrayLike, chords: ArrayLike) -> NDArray[np.intp]:
+def chord_layers(
+    mesh: Mesh, x: NodeVectorsLike, chords: Real[ArrayLike, "chords 2 3"]
+) -> Int[np.ndarray, " chords"]:
     """Return the number (k,) of layers that each chord crosses at positions `x` (n, 3) in m.
 
     `chords` (k, 2, 3): end points in m. A chord along the normal of a stack counts its layers.
@@ -30,7 +33,9 @@ def chord_layers(mesh: Mesh, x: ArrayLike, chords: ArrayLike) -> NDArray[np.intp
     return np.bincount(crossings(chords, positions(mesh, x)[mesh.faces])[:, 0], minlength=len(chords))
 
 
-def stacked_layers(mesh: Mesh, x: ArrayLike, reach: float, *, limit_deg: float = 30.0) -> NDArray[np.intp]:
+def stacked_layers(
+    mesh: Mesh, x: NodeVectorsLike, reach: float, *, limit_deg: float = 30.0
+) -> Int[np.ndarray, " faces"]:
     """Return the number (f,) of layers in the stack at each face, itself included, at `x` (n, 3) in m.
 
     A chord extends from the middle of the face along its normal by `reach` (m) to both sides. It counts the
@@ -50,7 +55,7 @@ def stacked_layers(mesh: Mesh, x: ArrayLike, reach: float, *, limit_deg: float =
     return 1 + parallel_crossings(corners, reach, np.cos(np.deg2rad(limit_deg)))
 
 
-def radial_alignment(mesh: Mesh, x: ArrayLike) -> FloatArray:
+def radial_alignment(mesh: Mesh, x: NodeVectorsLike) -> Float[np.ndarray, " faces"]:
     """Return the orientational order parameter $(3 \\cos^2 \\beta - 1)/2$ (f,) at positions `x` (n, 3) in m.
 
     $\\beta$ is the angle between the normal of a face and the direction from the centre of mass to the middle
@@ -63,13 +68,17 @@ def radial_alignment(mesh: Mesh, x: ArrayLike) -> FloatArray:
     return 1.5 * (np.einsum("fi,fi->f", normals(corners), outward) / distance) ** 2 - 0.5
 
 
-def crossings(chords: FloatArray, corners: FloatArray) -> NDArray[np.intp]:
+def crossings(
+    chords: Float[np.ndarray, "chords 2 3"], corners: Float[np.ndarray, "faces 3 3"]
+) -> Int[np.ndarray, "pairs 2"]:
     """Return pairs (m, 2): rows of `chords` (k, 2, 3), and triangles in `corners` (f, 3, 3) they pierce."""
     pairs = close_pairs(chords, corners)
     return pairs[pierces(chords[pairs[:, 0]], corners[pairs[:, 1]])]
 
 
-def parallel_crossings(corners: FloatArray, reach: float, cosine: float) -> NDArray[np.intp]:
+def parallel_crossings(
+    corners: Float[np.ndarray, "faces 3 3"], reach: float, cosine: float
+) -> Int[np.ndarray, " faces"]:
     """Return the number (f,) of parallel triangles along the normal of each triangle.
 
     A chord extends from the middle of the triangle along its normal by `reach` to both sides. It counts other

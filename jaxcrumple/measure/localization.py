@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from jaxtyping import ArrayLike, Float, Real
 
-from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import Mesh
 
 
-def localization(mesh: Mesh, density: ArrayLike, share: float = 0.5) -> float:
+def localization(mesh: Mesh, density: Real[ArrayLike, " faces"], share: float = 0.5) -> float:
     """Return the smallest fraction of the rest area that contains the fraction `share` of the energy.
 
     It equals `share` for a uniform energy, and is nan for a sheet without energy. `density` (f,): energy per
@@ -27,7 +27,7 @@ def localization(mesh: Mesh, density: ArrayLike, share: float = 0.5) -> float:
     return float(np.interp(share * held[-1], np.append(0.0, held), np.append(0.0, area)) / area[-1])
 
 
-def participation_ratio(mesh: Mesh, density: ArrayLike) -> float:
+def participation_ratio(mesh: Mesh, density: Real[ArrayLike, " faces"]) -> float:
     """Return the participation ratio $(\\int e\\,dA)^2 / (A \\int e^2 dA)$ of an energy density e.
 
     It is 1 for a uniform density. For a density that is uniform on a part of the area and zero elsewhere it
@@ -41,7 +41,7 @@ def participation_ratio(mesh: Mesh, density: ArrayLike) -> float:
     return float((density @ mesh.face_area) ** 2 / squares) if squares > 0 else float("nan")
 
 
-def _density(mesh: Mesh, density: ArrayLike) -> FloatArray:
+def _density(mesh: Mesh, density: Real[ArrayLike, " faces"]) -> Float[np.ndarray, " faces"]:
     density = np.asarray(density, dtype=np.float64)
     if density.shape != mesh.face_area.shape:
         raise ValueError(f"density has shape {density.shape}; give one for each of {len(mesh.faces)} faces")

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Bool, Float, Int, Shaped
 from scipy.ndimage import gaussian_filter
 
 from jaxcrumple._jax.memory import require
-from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import Mesh
 
 _BYTES = 60.0  # per pixel or point of a line, with copies
 _SUBDIVISION = 4  # samples of a triangle: the centres of its 4 x 4 parts
@@ -18,7 +18,7 @@ _SUBDIVISION = 4  # samples of a triangle: the centres of its 4 x 4 parts
 class Raster(NamedTuple):
     """Square pixels in the x-y plane; the pixel in row i and column j is at `origin + pixel * (j, i)`."""
 
-    origin: FloatArray  # (2,) x, y of the first pixel [m]
+    origin: Float[np.ndarray, " 2"]  # (2,) x, y of the first pixel [m]
     pixel: float  # side of a pixel [m]
     shape: tuple[int, int]  # rows, columns
 
@@ -31,12 +31,14 @@ class Raster(NamedTuple):
         require(_BYTES * columns * rows, what, "choose a larger width")
         return cls(low - pixel, pixel, (int(rows), int(columns)))
 
-    def pixels(self, points: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def pixels(
+        self, points: Float[np.ndarray, "*points 2"]
+    ) -> tuple[Int[np.ndarray, " *points"], Int[np.ndarray, " *points"]]:
         """Return rows and columns (...) of the pixels nearest to `points` (..., 2) in m."""
         columns, rows = np.moveaxis(np.rint((points - self.origin) / self.pixel).astype(int), -1, 0)
         return rows, columns
 
-    def inside(self, mesh: Mesh) -> NDArray[np.bool_]:
+    def inside(self, mesh: Mesh) -> Bool[np.ndarray, "rows columns"]:
         """Return a mask (rows, columns) of the pixels whose centre is on the sheet."""
         from matplotlib.tri import Triangulation  # imported here, since matplotlib is slow to import
 
@@ -45,7 +47,9 @@ class Raster(NamedTuple):
         at = self.origin[0] + self.pixel * columns, self.origin[1] + self.pixel * rows
         return np.asarray(Triangulation(x, y, mesh.faces).get_trifinder()(*at)) >= 0
 
-    def lines(self, ends: FloatArray) -> tuple[NDArray, NDArray, NDArray]:
+    def lines(
+        self, ends: Float[np.ndarray, "lines 2 2"]
+    ) -> tuple[Int[np.ndarray, " points"], Int[np.ndarray, " points"], Int[np.ndarray, " points"]]:
         """Sample straight lines between `ends` (m, 2, 2) at points less than a pixel apart.
 
         **Returns:** row, column and line number of each point.
@@ -59,7 +63,9 @@ class Raster(NamedTuple):
         rows, columns = self.pixels(ends[:, None, 0] * (1 - s) + ends[:, None, 1] * s)
         return rows.ravel(), columns.ravel(), np.repeat(np.arange(len(ends)), count)
 
-    def density(self, ends: FloatArray, amount: FloatArray, sigma: float) -> FloatArray:
+    def density(
+        self, ends: Float[np.ndarray, "lines 2 2"], amount: Float[np.ndarray, " lines"], sigma: float
+    ) -> Float[np.ndarray, "rows columns"]:
         """Spread `amount` (m,) along the lines `ends` (m, 2, 2), then by a Gaussian of width `sigma` in m.
 
         **Returns:** amount per area (rows, columns), in the unit of `amount` per m2.
@@ -70,13 +76,15 @@ class Raster(NamedTuple):
         np.add.at(image, (rows, columns), (amount / points)[line])
         return gaussian_filter(image, sigma / self.pixel, mode="constant") / self.pixel**2
 
-    def on_faces(self, mesh: Mesh, image: NDArray) -> NDArray:
+    def on_faces(
+        self, mesh: Mesh, image: Shaped[np.ndarray, "rows columns"]
+    ) -> Shaped[np.ndarray, "faces samples"]:
         """Sample `image` at m points spread evenly over each triangle: values (f, m)."""
         corners = mesh.vertices[mesh.faces][..., :2]
         return image[self.pixels(np.einsum("mc,fcd->fmd", _barycentres(_SUBDIVISION), corners))]
 
 
-def _barycentres(n: int) -> FloatArray:
+def _barycentres(n: int) -> Float[np.ndarray, "parts 3"]:
     """Return barycentric coordinates (n^2, 3) of the centres of n^2 equal parts of a triangle."""
     i, j = np.indices((n, n)).reshape(2, -1)
     up, down = i + j < n, i + j < n - 1

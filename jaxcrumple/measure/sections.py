@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from jaxtyping import ArrayLike, Bool, Float, Int, Real
 
+from jaxcrumple._jax.arrays import NodeVectorsLike
 from jaxcrumple.measure.shells import normals
 from jaxcrumple.measure.strain import positions
-from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import Mesh
+
+# A point or a direction as a user gives it.
+Vector = Real[ArrayLike, " 3"] | Sequence[float]
 
 _TRIANGLE = np.array([[0, 1], [1, 2], [2, 0]])
 _PRISM = np.concatenate([_TRIANGLE, _TRIANGLE + 3, np.arange(6).reshape(2, 3).T])
@@ -18,9 +23,9 @@ _PRISM = np.concatenate([_TRIANGLE, _TRIANGLE + 3, np.arange(6).reshape(2, 3).T]
 class Section(NamedTuple):
     """Lines of intersection between a plane and the triangles of a sheet."""
 
-    faces: NDArray[np.intp]  # (s,) indices of the cut faces
-    ends: FloatArray  # (s, 2, 2) both ends of each line, in m along the axes of the plane
-    axes: FloatArray  # (2, 3) unit vectors in the plane, right-handed with the normal
+    faces: Int[np.ndarray, " lines"]  # (s,) indices of the cut faces
+    ends: Float[np.ndarray, "lines 2 2"]  # (s, 2, 2) both ends of each line, in m along the axes of the plane
+    axes: Float[np.ndarray, "2 3"]  # (2, 3) unit vectors in the plane, right-handed with the normal
 
     @property
     def length(self) -> float:
@@ -28,7 +33,7 @@ class Section(NamedTuple):
         return float(np.linalg.norm(self.ends[:, 1] - self.ends[:, 0], axis=1).sum())
 
 
-def cross_section(mesh: Mesh, x: ArrayLike, point: ArrayLike, normal: ArrayLike) -> Section:
+def cross_section(mesh: Mesh, x: NodeVectorsLike, point: Vector, normal: Vector) -> Section:
     """Cut the sheet at positions `x` (n, 3) in m with the plane through `point` (3,) in m.
 
     The `normal` (3,) of the plane may have any length. The line ends are relative to `point`. A corner in the
@@ -46,8 +51,8 @@ def cross_section(mesh: Mesh, x: ArrayLike, point: ArrayLike, normal: ArrayLike)
 
 
 def thick_section(
-    mesh: Mesh, x: ArrayLike, thickness: float, point: ArrayLike, normal: ArrayLike
-) -> FloatArray:
+    mesh: Mesh, x: NodeVectorsLike, thickness: float, point: Vector, normal: Vector
+) -> Float[np.ndarray, "outlines 5 2"]:
     """Return the outlines (s, 5, 2) in m of the cut through a sheet of given `thickness` in m.
 
     Each triangle is a prism that extends half the thickness to both sides. Prisms overlap on the inside of a
@@ -67,7 +72,7 @@ def thick_section(
     return np.take_along_axis(points, np.take_along_axis(order, last, axis=1)[..., None], axis=1)
 
 
-def plane(point: ArrayLike, normal: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def plane(point: Vector, normal: Vector) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "2 3"]]:
     """Return the point (3,) in m and two unit vectors (2, 3) in the plane; x and y for the normal z.
 
     **Raises:** ValueError for a wrong shape or a normal without direction.
@@ -85,7 +90,11 @@ def plane(point: ArrayLike, normal: ArrayLike) -> tuple[FloatArray, FloatArray]:
     return origin, np.stack([first, np.cross(axis, first)])
 
 
-def _cut(vertices: FloatArray, edges: NDArray, axes: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+def _cut(
+    vertices: Float[np.ndarray, "bodies corners 3"],
+    edges: Int[np.ndarray, "edges 2"],
+    axes: Float[np.ndarray, "2 3"],
+) -> tuple[Float[np.ndarray, "bodies edges 2"], Bool[np.ndarray, "bodies edges"]]:
     """Cut `edges` (m, 2) of bodies (f, v, 3) with a plane through 0: points (f, m, 2), mask (f, m)."""
     height = vertices @ np.cross(*axes)
     low, high = height[:, edges[:, 0]], height[:, edges[:, 1]]

@@ -5,17 +5,20 @@ The areas are exact for triangles of any size relative to the shells.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import ArrayLike
+from collections.abc import Sequence
 
+import numpy as np
+from jaxtyping import ArrayLike, Complex, Float, Real
+
+from jaxcrumple._jax.arrays import NodeVectorsLike
 from jaxcrumple._jax.memory import require
 from jaxcrumple.measure.strain import positions
-from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import Mesh
 
 _BYTES = 24.0  # per triangle and shell, with copies
 
 
-def center_of_mass(mesh: Mesh, x: ArrayLike) -> FloatArray:
+def center_of_mass(mesh: Mesh, x: NodeVectorsLike) -> Float[np.ndarray, " 3"]:
     """Return the centre of mass (3,) in m of a sheet of uniform thickness at positions `x` (n, 3) in m.
 
     Each triangle has the mass of its rest area, evenly distributed.
@@ -23,7 +26,9 @@ def center_of_mass(mesh: Mesh, x: ArrayLike) -> FloatArray:
     return mesh.node_area @ positions(mesh, x) / mesh.node_area.sum()
 
 
-def shell_areas(mesh: Mesh, x: ArrayLike, radii: ArrayLike) -> FloatArray:
+def shell_areas(
+    mesh: Mesh, x: NodeVectorsLike, radii: Real[ArrayLike, " bounds"] | Sequence[float]
+) -> Float[np.ndarray, "faces shells"]:
     """Return the area (f, k) in m2 of each triangle in each of k shells around the centre of mass.
 
     **Arguments:** `x` (n, 3): positions in m, which define the areas; `radii` (k + 1,): bounds of the shells
@@ -45,7 +50,12 @@ def require_shells(mesh: Mesh, shells: int) -> None:
     require(_BYTES * len(mesh.faces) * shells, what, "choose fewer shells")
 
 
-def radial_profile(mesh: Mesh, x: ArrayLike, values: ArrayLike, radii: ArrayLike) -> FloatArray:
+def radial_profile(
+    mesh: Mesh,
+    x: NodeVectorsLike,
+    values: Real[ArrayLike, " faces"],
+    radii: Real[ArrayLike, " bounds"] | Sequence[float],
+) -> Float[np.ndarray, " shells"]:
     """Return the area-weighted mean (k,) of face `values` (f,) in each shell; nan in an empty shell.
 
     `x` (n, 3) and `radii` (k + 1,) in m as in `shell_areas`.
@@ -60,13 +70,15 @@ def radial_profile(mesh: Mesh, x: ArrayLike, values: ArrayLike, radii: ArrayLike
     return np.divide(values @ areas, total, out=np.full(len(total), np.nan), where=total > 0)
 
 
-def normals(corners: FloatArray) -> FloatArray:
+def normals(corners: Float[np.ndarray, "faces 3 3"]) -> Float[np.ndarray, "faces 3"]:
     """Return the unit normals (f, 3) of triangles `corners` (f, 3, 3); 0 for a triangle without area."""
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return _unit(normal)
 
 
-def area_within(corners: FloatArray, radii: FloatArray) -> FloatArray:
+def area_within(
+    corners: Float[np.ndarray, "faces 3 3"], radii: Float[np.ndarray, " spheres"]
+) -> Float[np.ndarray, "faces spheres"]:
     """Return the area (f, k) of triangles `corners` (f, 3, 3) within spheres of `radii` (k,) around 0.
 
     A sphere cuts the plane of a triangle in a disc. The common area of triangle and disc is a sum over the
@@ -84,7 +96,9 @@ def area_within(corners: FloatArray, radii: FloatArray) -> FloatArray:
     return np.clip(areas, 0.0, 0.5 * double[:, None])
 
 
-def _area_in_disc(corners: np.ndarray, squared: FloatArray) -> FloatArray:
+def _area_in_disc(
+    corners: Complex[np.ndarray, "faces 3"], squared: Float[np.ndarray, " faces"]
+) -> Float[np.ndarray, " faces"]:
     """Return the area (f,) of triangles (complex `corners` (f, 3), counterclockwise) in discs.
 
     `squared` (f,): squares of the radii of the discs.
@@ -99,5 +113,5 @@ def _area_in_disc(corners: np.ndarray, squared: FloatArray) -> FloatArray:
     return 0.5 * np.sum(squared[:, None] * angles + (enter.conj() * leave).imag, axis=1)
 
 
-def _unit(v: FloatArray) -> FloatArray:
+def _unit(v: Float[np.ndarray, "vectors 3"]) -> Float[np.ndarray, "vectors 3"]:
     return v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), np.finfo(float).tiny)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from jaxtyping import Float
 
-from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple._jax.arrays import NodeVectorsLike
+from jaxcrumple.mesh.mesh import Mesh
 
 
-def positions(mesh: Mesh, x: ArrayLike) -> FloatArray:
+def positions(mesh: Mesh, x: NodeVectorsLike) -> Float[np.ndarray, "nodes 3"]:
     """Return `x` as float64 (n, 3) in m.
 
     **Raises:** ValueError unless it has one row of three finite coordinates for each node of `mesh`.
@@ -20,7 +21,7 @@ def positions(mesh: Mesh, x: ArrayLike) -> FloatArray:
     return x
 
 
-def check_finite(name: str, values: FloatArray) -> None:
+def check_finite(name: str, values: Float[np.ndarray, " ..."]) -> None:
     """Check that all values are finite.
 
     **Raises:** ValueError that names the first row that is not finite.
@@ -30,22 +31,22 @@ def check_finite(name: str, values: FloatArray) -> None:
         raise ValueError(f"{name}[{bad[0]}] is {values[bad[0]]}; it must be finite")
 
 
-def edge_length(mesh: Mesh, x: ArrayLike) -> FloatArray:
+def edge_length(mesh: Mesh, x: NodeVectorsLike) -> Float[np.ndarray, " edges"]:
     """Return the length (e,) of the edges in m at positions `x` (n, 3)."""
     x = positions(mesh, x)
     return np.linalg.norm(x[mesh.edges[:, 1]] - x[mesh.edges[:, 0]], axis=1)
 
 
-def edge_strain(mesh: Mesh, x: ArrayLike) -> FloatArray:
+def edge_strain(mesh: Mesh, x: NodeVectorsLike) -> Float[np.ndarray, " edges"]:
     """Return the engineering strain (e,) of the edges, length / rest length - 1, at `x` (n, 3) in m."""
     return edge_length(mesh, x) / mesh.edge_length - 1.0
 
 
-def rms_strain(mesh: Mesh, x: ArrayLike) -> float:
+def rms_strain(mesh: Mesh, x: NodeVectorsLike) -> float:
     """Return the root mean square of `edge_strain`, unweighted."""
     return float(np.sqrt(np.mean(edge_strain(mesh, x) ** 2)))
 
 
-def max_strain(mesh: Mesh, x: ArrayLike) -> float:
+def max_strain(mesh: Mesh, x: NodeVectorsLike) -> float:
     """Return the largest absolute value of `edge_strain`."""
     return float(np.max(np.abs(edge_strain(mesh, x))))

@@ -9,18 +9,19 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from jaxtyping import Float
 
+from jaxcrumple._jax.arrays import NodeVectorsLike
 from jaxcrumple.measure.shells import center_of_mass, require_shells, shell_areas
 from jaxcrumple.measure.strain import positions
-from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import Mesh
 
 
 class VolumeFraction(NamedTuple):
     """Volume fraction of the sheet, dimensionless, in shells around its centre of mass."""
 
-    radii: FloatArray  # (k + 1,) bounds of the shells, from 0 to r0 [m]
-    phi: FloatArray  # (k,) volume fraction of each shell
+    radii: Float[np.ndarray, " bounds"]  # (k + 1,) bounds of the shells, from 0 to r0 [m]
+    phi: Float[np.ndarray, " shells"]  # (k,) volume fraction of each shell
     phi0: float  # volume fraction of the sphere of radius r0
 
     @property
@@ -29,7 +30,7 @@ class VolumeFraction(NamedTuple):
         return float(self.radii[-1])
 
 
-def volume_fraction(mesh: Mesh, x: ArrayLike, thickness: float, *, shells: int = 20) -> VolumeFraction:
+def volume_fraction(mesh: Mesh, x: NodeVectorsLike, thickness: float, *, shells: int = 20) -> VolumeFraction:
     """Return the volume fraction of a sheet in spherical shells of equal width (Fig. 8b).
 
     The volume in a shell is the area of the middle surface in it, exact for the triangles, times the

@@ -14,10 +14,11 @@ from dataclasses import dataclass
 from typing import Protocol, SupportsIndex
 
 import numpy as np
+from jaxtyping import Float, Int
 from scipy.spatial import Delaunay
 
 from jaxcrumple._jax.memory import require
-from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import Mesh
 
 _ROW = math.sqrt(3) / 2  # height of a lattice row in units of the spacing
 _BYTES = 1000.0  # bytes per node during generation, with its triangles, edges and hinges (1040 at 1e5)
@@ -81,13 +82,13 @@ class _Domain(Protocol):
     @property
     def perimeter(self) -> float: ...
 
-    def boundary(self, spacing: float) -> FloatArray:
+    def boundary(self, spacing: float) -> Float[np.ndarray, "boundary 2"]:
         """Evenly spaced nodes (b, 2) on the boundary, about `spacing` apart."""
 
-    def sample(self, rng: np.random.Generator, count: int, inset: float) -> FloatArray:
+    def sample(self, rng: np.random.Generator, count: int, inset: float) -> Float[np.ndarray, "nodes 2"]:
         """Uniform random positions (count, 2), no nearer to the boundary than `inset`."""
 
-    def mirror(self, points: FloatArray, depth: float) -> FloatArray:
+    def mirror(self, points: Float[np.ndarray, "nodes 2"], depth: float) -> Float[np.ndarray, "images 2"]:
         """Images behind the boundary of the points within `depth` of it."""
 
 
@@ -104,7 +105,7 @@ class _Rectangle:
     def perimeter(self) -> float:
         return 2 * (self.width + self.height)
 
-    def boundary(self, spacing: float) -> FloatArray:
+    def boundary(self, spacing: float) -> Float[np.ndarray, "boundary 2"]:
         x, y = (
             np.linspace(-side / 2, side / 2, max(1, round(side / spacing)) + 1)
             for side in (self.width, self.height)
@@ -112,11 +113,11 @@ class _Rectangle:
         sides = [(x[:-1], y[0]), (x[-1], y[:-1]), (x[1:], y[-1]), (x[0], y[1:])]
         return np.vstack([np.column_stack(np.broadcast_arrays(*side)) for side in sides])
 
-    def sample(self, rng: np.random.Generator, count: int, inset: float) -> FloatArray:
+    def sample(self, rng: np.random.Generator, count: int, inset: float) -> Float[np.ndarray, "nodes 2"]:
         half = np.array([self.width, self.height]) / 2
         return rng.uniform(-1, 1, size=(count, 2)) * np.maximum(half - inset, half / 4)
 
-    def mirror(self, points: FloatArray, depth: float) -> FloatArray:
+    def mirror(self, points: Float[np.ndarray, "nodes 2"], depth: float) -> Float[np.ndarray, "images 2"]:
         half = np.array([self.width, self.height]) / 2
         images = []
         for axis in (0, 1):
@@ -138,17 +139,17 @@ class _Disc:
     def perimeter(self) -> float:
         return 2 * math.pi * self.radius
 
-    def boundary(self, spacing: float) -> FloatArray:
+    def boundary(self, spacing: float) -> Float[np.ndarray, "boundary 2"]:
         count = max(3, round(self.perimeter / spacing))
         angle = 2 * math.pi * np.arange(count) / count
         return self.radius * np.column_stack([np.cos(angle), np.sin(angle)])
 
-    def sample(self, rng: np.random.Generator, count: int, inset: float) -> FloatArray:
+    def sample(self, rng: np.random.Generator, count: int, inset: float) -> Float[np.ndarray, "nodes 2"]:
         r = max(self.radius - inset, self.radius / 4) * np.sqrt(rng.uniform(size=count))
         angle = rng.uniform(0, 2 * math.pi, size=count)
         return np.column_stack([r * np.cos(angle), r * np.sin(angle)])
 
-    def mirror(self, points: FloatArray, depth: float) -> FloatArray:
+    def mirror(self, points: Float[np.ndarray, "nodes 2"], depth: float) -> Float[np.ndarray, "images 2"]:
         r = np.linalg.norm(points, axis=1, keepdims=True)
         near = (self.radius - r < depth).ravel()
         return (points * (2 * self.radius / np.maximum(r, 1e-300) - 1))[near]
@@ -188,7 +189,7 @@ def lattice_spacing(area: float, perimeter: float, nodes: int) -> float:
     return (half + math.sqrt(half**2 + 8 / math.sqrt(3) * area * (nodes - 1))) / (2 * (nodes - 1))
 
 
-def guard_points(fixed: FloatArray) -> FloatArray:
+def guard_points(fixed: Float[np.ndarray, "boundary 2"]) -> Float[np.ndarray, "8 2"]:
     """Far points around the domain, so that no side of the domain lies on the convex hull.
 
     Qhull may cover collinear points of the hull with triangles of zero area, or omit them.
@@ -197,7 +198,9 @@ def guard_points(fixed: FloatArray) -> FloatArray:
     return 20 * np.abs(fixed).max() * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def centroids(free: FloatArray, others: FloatArray) -> FloatArray:
+def centroids(
+    free: Float[np.ndarray, "free 2"], others: Float[np.ndarray, "others 2"]
+) -> Float[np.ndarray, "free 2"]:
     """Centroids of the Voronoi cells of `free` in the diagram of all points: one sweep of Lloyd's algorithm.
 
     The cell of a point is the fan of triangles (point, c, c') over its Voronoi edges, whose ends c, c' are
@@ -218,7 +221,9 @@ def centroids(free: FloatArray, others: FloatArray) -> FloatArray:
     return free + np.column_stack(moment) / total[:, None]
 
 
-def _circumcentres(points: FloatArray, triangles: np.ndarray) -> FloatArray:
+def _circumcentres(
+    points: Float[np.ndarray, "points 2"], triangles: Int[np.ndarray, "triangles 3"]
+) -> Float[np.ndarray, "triangles 2"]:
     a, b, c = (points[triangles[:, k]] for k in range(3))
     u, v = b - a, c - a
     uu, vv = (u * u).sum(axis=1), (v * v).sum(axis=1)

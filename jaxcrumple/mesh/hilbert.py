@@ -1,13 +1,13 @@
 """Order of points along a Hilbert curve, which keeps neighbours close."""
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float, Int
 
 # Resolution of the curve: cells along each side, as a power of two.
 _HILBERT_BITS = 16
 
 
-def hilbert_order(x: NDArray[np.float64]) -> NDArray:
+def hilbert_order(x: Float[np.ndarray, "nodes 3"]) -> Int[np.ndarray, " nodes"]:
     """Return the order of the nodes along a Hilbert curve in their best-fit plane.
 
     The first axis in the plane is a projected coordinate axis: the principal axes of a square depend on
@@ -23,7 +23,7 @@ def hilbert_order(x: NDArray[np.float64]) -> NDArray:
     return np.argsort(hilbert_index(np.rint(cells).astype(np.int64), _HILBERT_BITS), kind="stable")
 
 
-def hilbert_index(cells: NDArray[np.int64], bits: int) -> NDArray[np.int64]:
+def hilbert_index(cells: Int[np.ndarray, "nodes 2"], bits: int) -> Int[np.ndarray, " nodes"]:
     """Index of integer cells (n, 2) in [0, 2^bits) along the Hilbert curve, one quadrant per bit."""
     x, y = cells.T
     index = np.zeros(len(cells), dtype=np.int64)

@@ -10,13 +10,13 @@ import warnings
 from dataclasses import astuple, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array, csc_array, eye_array
 from scipy.sparse.csgraph import breadth_first_order
 from scipy.sparse.linalg import spsolve
 
 from jaxcrumple.mesh.files import MeshWarning
-from jaxcrumple.mesh.mesh import FloatArray, Mesh, edge_numbers, half_edge_pairs
+from jaxcrumple.mesh.mesh import Mesh, edge_numbers, half_edge_pairs
 
 #: Deviation from the lattice, or between directions, above which a mesh does not represent its material.
 TOLERANCE = 0.05
@@ -93,7 +93,7 @@ def warn_of_anisotropy(mesh: Mesh, path: str) -> None:
         )
 
 
-def flattened(mesh: Mesh) -> FloatArray | None:
+def flattened(mesh: Mesh) -> Float[np.ndarray, "nodes 2"] | None:
     """Return positions (n, 2) in the plane of the sheet, or None for a curved sheet."""
     centred = mesh.vertices - mesh.vertices.mean(axis=0)
     axes = np.linalg.svd(centred, full_matrices=False)[2]
@@ -101,7 +101,7 @@ def flattened(mesh: Mesh) -> FloatArray | None:
     return centred @ axes[:2].T if np.ptp(centred @ axes[2]) <= _FLAT * size else None
 
 
-def _patches(mesh: Mesh, size: int) -> list[NDArray]:
+def _patches(mesh: Mesh, size: int) -> list[Int[np.ndarray, "_ 3"]]:
     """Return the faces of patches of `size` nodes around centres that are spread over the sheet."""
     n = mesh.n_nodes
     graph = coo_array((np.ones(len(mesh.edges)), tuple(mesh.edges.T)), shape=(n, n)).tocsr()
@@ -113,7 +113,9 @@ def _patches(mesh: Mesh, size: int) -> list[NDArray]:
     return patches
 
 
-def _tensors(x: FloatArray, faces: NDArray) -> tuple[FloatArray, FloatArray]:
+def _tensors(
+    x: Float[np.ndarray, "nodes 2"], faces: Int[np.ndarray, "faces 3"]
+) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3 3"]]:
     """Stiffness (3, 3) against strains (xx, yy, 2 xy) and against curvatures (xx, yy, 2 xy), ks = kb = 1."""
     used, faces = np.unique(faces, return_inverse=True)
     x, faces = x[used], faces.reshape(-1, 3)
@@ -133,7 +135,12 @@ def _tensors(x: FloatArray, faces: NDArray) -> tuple[FloatArray, FloatArray]:
     return membrane, _plate(x, hinges, (inner[one // 3], inner[two // 3]), ~near)
 
 
-def _membrane(x: FloatArray, edges: NDArray, weight: FloatArray, free: NDArray) -> FloatArray:
+def _membrane(
+    x: Float[np.ndarray, "nodes 2"],
+    edges: Int[np.ndarray, "edges 2"],
+    weight: Float[np.ndarray, " edges"],
+    free: Bool[np.ndarray, " nodes"],
+) -> Float[np.ndarray, "3 3"]:
     d = x[edges[:, 1]] - x[edges[:, 0]]
     length = np.linalg.norm(d, axis=1, keepdims=True)
     n = d / length
@@ -143,7 +150,12 @@ def _membrane(x: FloatArray, edges: NDArray, weight: FloatArray, free: NDArray) 
     return _relaxed(stretch[:, np.repeat(free, 2)], affine, weight)
 
 
-def _plate(x: FloatArray, hinges: NDArray, inner: tuple[NDArray, NDArray], free: NDArray) -> FloatArray:
+def _plate(
+    x: Float[np.ndarray, "nodes 2"],
+    hinges: Int[np.ndarray, "hinges 4"],
+    inner: tuple[Bool[np.ndarray, " hinges"], Bool[np.ndarray, " hinges"]],
+    free: Bool[np.ndarray, " nodes"],
+) -> Float[np.ndarray, "3 3"]:
     """Plate stiffness. Only the `inner` triangles of each hinge count; the others lie among fixed nodes."""
     if len(hinges) == 0:
         return np.full((3, 3), np.nan)
@@ -171,12 +183,16 @@ def _plate(x: FloatArray, hinges: NDArray, inner: tuple[NDArray, NDArray], free:
     return _relaxed(turn[:, free], affine, weight) / (counted.sum() / 3)
 
 
-def _rows(columns: NDArray, values: FloatArray, width: int) -> csc_array:
+def _rows(
+    columns: Int[np.ndarray, "rows entries"], values: Float[np.ndarray, "rows entries"], width: int
+) -> csc_array:
     row = np.repeat(np.arange(len(columns)), columns.shape[1])
     return coo_array((values.ravel(), (row, columns.ravel())), shape=(len(columns), width)).tocsc()
 
 
-def _relaxed(change: csc_array, affine: FloatArray, weight: FloatArray) -> FloatArray:
+def _relaxed(
+    change: csc_array, affine: Float[np.ndarray, "rows 3"], weight: Float[np.ndarray, " rows"]
+) -> Float[np.ndarray, "3 3"]:
     """Energy (3, 3) of affine elongations (m, 3), minimised over displacements u that add `change` @ u."""
     weighted = weight[:, None] * affine
     energy = affine.T @ weighted
@@ -189,7 +205,7 @@ def _relaxed(change: csc_array, affine: FloatArray, weight: FloatArray) -> Float
     return energy
 
 
-def _stiffness(membrane: FloatArray, plate: FloatArray) -> Stiffness:
+def _stiffness(membrane: Float[np.ndarray, "3 3"], plate: Float[np.ndarray, "3 3"]) -> Stiffness:
     c, s = np.cos(_ANGLES), np.sin(_ANGLES)
     stress = np.stack([c**2, s**2, c * s])
     strain = np.linalg.solve(membrane, stress)

@@ -7,13 +7,13 @@ refer to Andrejevic & Rycroft, J. Comput. Phys. (2022) 111607.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from jaxtyping import ArrayLike, Float, Int, Real, Shaped
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -22,10 +22,10 @@ from jaxcrumple.mesh.files.sheet import read_sheet
 from jaxcrumple.mesh.files.write import FILE_FORMATS, write_triangles
 from jaxcrumple.mesh.hilbert import hilbert_order
 
-__all__ = ["FILE_FORMATS", "FloatArray", "IntArray", "Mesh", "MeshError"]
+__all__ = ["FILE_FORMATS", "Mesh", "MeshError"]
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int32]
+# Positions as a user gives them, in two or three columns.
+Points = Real[ArrayLike, "points _"] | Sequence[Sequence[float]]
 
 _MIN_HEIGHT = 1e-6  # smallest height of a triangle, in units of its longest edge
 
@@ -42,24 +42,30 @@ class Mesh:
     convex seen from that side. The edge (x0, x1) points as in `edges`.
     """
 
-    vertices: FloatArray  # (n, 3) rest positions [m], not necessarily flat
-    faces: IntArray  # (f, 3) nodes of each triangle, consistently oriented
-    edges: IntArray  # (e, 2) nodes of each spring, first < second, in lexicographic order
-    hinges: IntArray  # (h, 4) nodes x0, x1, x2, x3 of each pair of triangles
-    hinge_edges: IntArray  # (h,) row of the shared edge in `edges`
-    hinge_faces: IntArray  # (h, 2) rows of the two triangles in `faces`
-    source_nodes: IntArray  # (n,) row of each node in the input
-    edge_length: FloatArray  # (e,) rest length s_ij of (11) [m]
-    face_area: FloatArray  # (f,) [m^2]
-    hinge_length: FloatArray  # (h,) |e0| [m]
-    hinge_area: FloatArray  # (h,) A_bar = A_1 + A_2 of (16) [m^2]
-    hinge_weight: FloatArray  # (h,) sqrt(3) |e0|^2 / (2 A_bar) of (20); 1 for two equilateral triangles
-    hinge_height: FloatArray  # (h,) mean height of the two triangles over the shared edge, A_bar / |e0| [m]
-    rest_curvature: FloatArray  # (h,) signed 2 sin(theta / 2) of the rest shape, see (33); 0 where it is flat
-    node_area: FloatArray  # (n,) a third of the area of the incident faces [m^2]
+    vertices: Float[np.ndarray, "nodes 3"]  # (n, 3) rest positions [m], not necessarily flat
+    faces: Int[np.ndarray, "faces 3"]  # (f, 3) nodes of each triangle, consistently oriented
+    edges: Int[np.ndarray, "edges 2"]  # (e, 2) nodes of each spring, first < second, in lexicographic order
+    hinges: Int[np.ndarray, "hinges 4"]  # (h, 4) nodes x0, x1, x2, x3 of each pair of triangles
+    hinge_edges: Int[np.ndarray, " hinges"]  # (h,) row of the shared edge in `edges`
+    hinge_faces: Int[np.ndarray, "hinges 2"]  # (h, 2) rows of the two triangles in `faces`
+    source_nodes: Int[np.ndarray, " nodes"]  # (n,) row of each node in the input
+    edge_length: Float[np.ndarray, " edges"]  # (e,) rest length s_ij of (11) [m]
+    face_area: Float[np.ndarray, " faces"]  # (f,) [m^2]
+    hinge_length: Float[np.ndarray, " hinges"]  # (h,) |e0| [m]
+    hinge_area: Float[np.ndarray, " hinges"]  # (h,) A_bar = A_1 + A_2 of (16) [m^2]
+    hinge_weight: Float[np.ndarray, " hinges"]  # (h,) sqrt(3) |e0|^2 / (2 A_bar) of (20); 1 if equilateral
+    hinge_height: Float[np.ndarray, " hinges"]  # (h,) mean height over the shared edge, A_bar / |e0| [m]
+    rest_curvature: Float[np.ndarray, " hinges"]  # (h,) signed 2 sin(theta / 2) at rest, see (33)
+    node_area: Float[np.ndarray, " nodes"]  # (n,) a third of the area of the incident faces [m^2]
 
     @classmethod
-    def from_arrays(cls, vertices: ArrayLike, faces: ArrayLike, *, reorder: bool = False) -> Mesh:
+    def from_arrays(
+        cls,
+        vertices: Points,
+        faces: Int[ArrayLike, "faces 3"] | Sequence[Sequence[int]],
+        *,
+        reorder: bool = False,
+    ) -> Mesh:
         """Check and orient a triangulated surface. The nodes keep their numbers if faces use all of them.
 
         **Arguments:**
@@ -139,7 +145,7 @@ class Mesh:
         """
         write_triangles(path, self.vertices, self.faces)
 
-    def with_rest_shape(self, vertices: ArrayLike) -> Mesh:
+    def with_rest_shape(self, vertices: Points) -> Mesh:
         """Return the same connectivity with the rest metric of other positions, (n, 3) or (n, 2) [m].
 
         **Raises:** `MeshError` for a wrong shape, a non-finite position or a triangle without area.
@@ -164,12 +170,12 @@ class Mesh:
         return float(self.face_area.sum())
 
     @property
-    def boundary_edges(self) -> IntArray:
+    def boundary_edges(self) -> Int[np.ndarray, " boundary"]:
         """Rows of `edges` that belong to one face only, ascending; empty for a closed surface."""
         return np.setdiff1d(np.arange(len(self.edges), dtype=np.int32), self.hinge_edges)
 
     @property
-    def boundary_nodes(self) -> IntArray:
+    def boundary_nodes(self) -> Int[np.ndarray, " boundary"]:
         """Nodes on the boundary, ascending; empty for a closed surface."""
         return np.unique(self.edges[self.boundary_edges])
 
@@ -182,7 +188,9 @@ class Mesh:
 # Rest metric
 
 
-def _metric(x: FloatArray, topology: dict[str, NDArray]) -> dict[str, NDArray]:
+def _metric(
+    x: Float[np.ndarray, "nodes 3"], topology: dict[str, Int[np.ndarray, " ..."]]
+) -> dict[str, Float[np.ndarray, " ..."]]:
     faces, edges, hinges = topology["faces"], topology["edges"], topology["hinges"]
     face_area = _doubled_areas(x, faces) / 2
     e0, e1, e2 = (x[hinges[:, k]] - x[hinges[:, 0]] for k in (1, 2, 3))
@@ -203,12 +211,14 @@ def _metric(x: FloatArray, topology: dict[str, NDArray]) -> dict[str, NDArray]:
     }
 
 
-def _doubled_areas(x: FloatArray, faces: NDArray) -> FloatArray:
+def _doubled_areas(
+    x: Float[np.ndarray, "points 3"], faces: Int[np.ndarray, "faces 3"]
+) -> Float[np.ndarray, " faces"]:
     a, b, c = x[faces[:, 0]], x[faces[:, 1]], x[faces[:, 2]]
     return np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
-def _read_only(array: NDArray) -> NDArray:
+def _read_only(array: Shaped[np.ndarray, " *axes"]) -> Shaped[np.ndarray, " *axes"]:
     """Return the array itself if nothing can write to it, else a read-only copy."""
     base: Any = array
     safe = array.flags.c_contiguous
@@ -224,7 +234,7 @@ def _read_only(array: NDArray) -> NDArray:
 # Checks that need no connectivity
 
 
-def _checked_vertices(vertices: ArrayLike) -> FloatArray:
+def _checked_vertices(vertices: Points) -> Float[np.ndarray, "points 3"]:
     raw = np.asarray(vertices)
     if raw.ndim != 2 or raw.shape[1] not in (2, 3):
         raise MeshError(f"vertices have shape {raw.shape}; give an array of shape (n, 2) or (n, 3)")
@@ -238,7 +248,9 @@ def _checked_vertices(vertices: ArrayLike) -> FloatArray:
     return x
 
 
-def _checked_faces(faces: ArrayLike, n: int) -> NDArray[np.int64]:
+def _checked_faces(
+    faces: Int[ArrayLike, "faces 3"] | Sequence[Sequence[int]], n: int
+) -> Int[np.ndarray, "faces 3"]:
     raw = np.asarray(faces)
     if raw.ndim != 2 or raw.shape[1] != 3 or len(raw) == 0:
         raise MeshError(f"faces have shape {raw.shape}; give an array of shape (f, 3) with f >= 1")
@@ -255,7 +267,7 @@ def _checked_faces(faces: ArrayLike, n: int) -> NDArray[np.int64]:
     return f
 
 
-def _check_areas(x: FloatArray, faces: NDArray) -> None:
+def _check_areas(x: Float[np.ndarray, "points 3"], faces: Int[np.ndarray, "faces 3"]) -> None:
     longest = np.max([np.linalg.norm(x[faces[:, k]] - x[faces[:, k - 1]], axis=1) for k in range(3)], axis=0)
     bad = np.flatnonzero(_doubled_areas(x, faces) <= _MIN_HEIGHT * longest**2)
     if len(bad):
@@ -263,7 +275,7 @@ def _check_areas(x: FloatArray, faces: NDArray) -> None:
         raise MeshError(f"{where} has no area{_more(bad)}; move its nodes apart or remesh there")
 
 
-def _more(bad: NDArray) -> str:
+def _more(bad: Int[np.ndarray, " bad"]) -> str:
     return f" (and {len(bad) - 1} more)" if len(bad) > 1 else ""
 
 
@@ -271,19 +283,23 @@ def _ids(row: Iterable[int]) -> str:
     return "(" + ", ".join(str(int(i)) for i in row) + ")"
 
 
-def _point(x: FloatArray) -> str:
+def _point(x: Float[np.ndarray, " 3"]) -> str:
     return "(" + ", ".join(f"{c:.6g}" for c in x) + ")"
 
 
 # Topology. Half-edge 3 f + k runs from vertex k to vertex k + 1 of face f; it also numbers the corner at k.
 
 
-def _half_edges(faces: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+def _half_edges(
+    faces: Int[np.ndarray, "faces 3"],
+) -> tuple[Int[np.ndarray, " half_edges"], Int[np.ndarray, " half_edges"], Int[np.ndarray, " half_edges"]]:
     """Tail, head and opposite node of each half-edge."""
     return faces.ravel(), np.roll(faces, -1, axis=1).ravel(), np.roll(faces, -2, axis=1).ravel()
 
 
-def edge_numbers(faces: NDArray) -> tuple[NDArray, NDArray]:
+def edge_numbers(
+    faces: Int[np.ndarray, "faces 3"],
+) -> tuple[Int[np.ndarray, "edges 2"], Int[np.ndarray, " half_edges"]]:
     """Edges (e, 2) in lexicographic order, and the edge of each half-edge."""
     tail, head, _ = _half_edges(faces.astype(np.int64))
     n = int(faces.max()) + 1
@@ -291,18 +307,22 @@ def edge_numbers(faces: NDArray) -> tuple[NDArray, NDArray]:
     return np.stack([keys // n, keys % n], axis=1), number.ravel()
 
 
-def half_edge_pairs(number: NDArray) -> tuple[NDArray, NDArray]:
+def half_edge_pairs(
+    number: Int[np.ndarray, " half_edges"],
+) -> tuple[Int[np.ndarray, " hinges"], Int[np.ndarray, " hinges"]]:
     """Return the two half-edges of every edge that has two."""
     order = np.argsort(number, kind="stable")
     first = np.flatnonzero(number[order[1:]] == number[order[:-1]])
     return order[first], order[first + 1]
 
 
-def _components(size: int, a: NDArray, b: NDArray) -> tuple[int, NDArray]:
+def _components(
+    size: int, a: Int[np.ndarray, " links"], b: Int[np.ndarray, " links"]
+) -> tuple[int, Int[np.ndarray, " members"]]:
     return connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(size, size)), directed=False)
 
 
-def _checked_topology(faces: NDArray) -> NDArray:
+def _checked_topology(faces: Int[np.ndarray, "faces 3"]) -> Int[np.ndarray, "faces 3"]:
     """Return `faces` if they form one connected manifold."""
     _, same, count = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True)
     if count.max() > 1:
@@ -328,7 +348,7 @@ def _checked_topology(faces: NDArray) -> NDArray:
     return faces
 
 
-def _check_fans(faces: NDArray, number: NDArray) -> None:
+def _check_fans(faces: Int[np.ndarray, "faces 3"], number: Int[np.ndarray, " half_edges"]) -> None:
     """Require that shared edges connect all corners at each node."""
     a, b = half_edge_pairs(number)
     node, following = faces.ravel(), np.arange(faces.size).reshape(-1, 3)[:, [1, 2, 0]].ravel()
@@ -344,7 +364,7 @@ def _check_fans(faces: NDArray, number: NDArray) -> None:
         raise MeshError(f"{where}; give each fan a node of its own, or fill the gap")
 
 
-def _oriented(faces: NDArray) -> NDArray:
+def _oriented(faces: Int[np.ndarray, "faces 3"]) -> Int[np.ndarray, "faces 3"]:
     """Flip faces until neighbours agree in orientation.
 
     Each face stands for two nodes of a graph: as given (i) and flipped (i + f). The graph connects
@@ -361,7 +381,7 @@ def _oriented(faces: NDArray) -> NDArray:
     return np.where(turned[:, None], faces[:, [0, 2, 1]], faces)
 
 
-def _connectivity(faces: IntArray) -> dict[str, NDArray]:
+def _connectivity(faces: Int[np.ndarray, "faces 3"]) -> dict[str, Int[np.ndarray, " ..."]]:
     """Edges and hinges of consistently oriented faces."""
     edges, number = edge_numbers(faces)
     tail, head, opposite = _half_edges(faces)

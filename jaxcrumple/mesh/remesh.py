@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import SupportsIndex
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import Delaunay, cKDTree
 
 from jaxcrumple.mesh.generate import centroids, guard_points, lattice_spacing, whole_number
 from jaxcrumple.mesh.isotropy import flattened
-from jaxcrumple.mesh.mesh import FloatArray, Mesh, MeshError
+from jaxcrumple.mesh.mesh import Mesh, MeshError
 
 _CORNER = np.radians(20)  # smallest turn of an outline that counts as a corner, which gets a node
 _INSET = np.sqrt(3) / 4  # smallest start distance of random nodes from the boundary, as in `generate`
@@ -56,7 +56,7 @@ def remeshed(
     return new
 
 
-def boundary_loops(mesh: Mesh) -> list[NDArray[np.int64]]:
+def boundary_loops(mesh: Mesh) -> list[Int[np.ndarray, " _"]]:
     """Nodes along each closed curve of the boundary."""
     neighbours: dict[int, list[int]] = {}
     for a, b in mesh.edges[mesh.boundary_edges].tolist():
@@ -72,7 +72,7 @@ def boundary_loops(mesh: Mesh) -> list[NDArray[np.int64]]:
     return loops
 
 
-def _resampled(loop: FloatArray, spacing: float) -> FloatArray:
+def _resampled(loop: Float[np.ndarray, "corners 2"], spacing: float) -> Float[np.ndarray, "nodes 2"]:
     """Return nodes (b, 2) about `spacing` apart along a closed polygon, with a node at each corner."""
     after, before = np.roll(loop, -1, axis=0) - loop, loop - np.roll(loop, 1, axis=0)
     turn = np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], (before * after).sum(axis=1))
@@ -92,7 +92,7 @@ def _resampled(loop: FloatArray, spacing: float) -> FloatArray:
 class _Outline:
     """A region between closed polygons: one around it, the others around its holes."""
 
-    def __init__(self, loops: list[FloatArray]):
+    def __init__(self, loops: list[Float[np.ndarray, "_ 2"]]):
         self.loops, self.points = loops, np.vstack(loops)
         self.holes = len(loops) - 1
         following = [np.roll(loop, -1, axis=0) for loop in loops]
@@ -108,11 +108,11 @@ class _Outline:
 
         self.paths = [Path(loop) for loop in loops]
 
-    def contains(self, points: FloatArray) -> NDArray[np.bool_]:
+    def contains(self, points: Float[np.ndarray, "points 2"]) -> Bool[np.ndarray, " points"]:
         """Which points (k, 2) lie within an odd number of the polygons."""
         return np.logical_xor.reduce([path.contains_points(points) for path in self.paths])
 
-    def sample(self, rng: np.random.Generator, count: int, spacing: float) -> FloatArray:
+    def sample(self, rng: np.random.Generator, count: int, spacing: float) -> Float[np.ndarray, "nodes 2"]:
         """Uniform random positions (count, 2) inside, away from the boundary."""
         tree, found = cKDTree(self.points), np.zeros((0, 2))
         low, high = self.points.min(axis=0), self.points.max(axis=0)
@@ -126,7 +126,7 @@ class _Outline:
                 return found[:count]
         raise MeshError("the sheet is too slender for this number of nodes; give more")
 
-    def mirror(self, points: FloatArray, depth: float) -> FloatArray:
+    def mirror(self, points: Float[np.ndarray, "points 2"], depth: float) -> Float[np.ndarray, "images 2"]:
         """Return mirror images, outside the region, of points within `depth` of a side and beside it."""
         count = min(3, len(self.points))
         near = cKDTree((self.points + self.ends) / 2).query(points, count)[1].reshape(len(points), count)
@@ -141,7 +141,12 @@ class _Outline:
         return image[~self.contains(image)]
 
 
-def _placed(mesh: Mesh, plane: FloatArray, points: FloatArray, triangles: NDArray) -> Mesh:
+def _placed(
+    mesh: Mesh,
+    plane: Float[np.ndarray, "nodes 2"],
+    points: Float[np.ndarray, "points 2"],
+    triangles: Int[np.ndarray, "triangles 3"],
+) -> Mesh:
     """Make a mesh of points (k, 2) in the plane of a sheet, with the same orientation as the sheet."""
     to_space = np.linalg.lstsq(np.column_stack([plane, np.ones(len(plane))]), mesh.vertices, rcond=None)[0]
     a, b, c = (plane[mesh.faces[:, k]] for k in range(3))

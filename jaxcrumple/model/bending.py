@@ -2,8 +2,9 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Float, Int
 
+from jaxcrumple._jax.arrays import HingeValues, NodeVectors, Scalar
 from jaxcrumple.geometry.hinge import (
     Hinge,
     curvature,
@@ -18,7 +19,7 @@ from jaxcrumple.model.elements import scatter
 FOLD_STOP = jnp.pi * 170.0 / 180.0
 
 
-def fold_stop(theta: Array) -> Array:
+def fold_stop(theta: Float[Array, " *axes"]) -> Float[Array, " *axes"]:
     """Barrier $u^3/(1-u)$ with $u = (|\\theta| - \\theta_s)/(\\pi - \\theta_s)$, $\\theta_s$ = 170 degrees.
 
     It is zero below the onset, where it is twice continuously differentiable. It is infinite at 180 degrees,
@@ -29,7 +30,9 @@ def fold_stop(theta: Array) -> Array:
     return u * u * u / (1.0 - u)
 
 
-def hinge_energy(theta: Array, rest_curvature: Array, stiffness: Array) -> Array:
+def hinge_energy(
+    theta: Float[Array, " *axes"], rest_curvature: Float[Array, " *axes"], stiffness: Float[Array, " *axes"]
+) -> Float[Array, " *axes"]:
     """Energy of a hinge in J: $\\frac{K}{2} (c - p)^2$ (eq. 31) plus the fold stop.
 
     `stiffness` is $K = k_b \\sqrt3 |e_0|^2 / (2 \\bar A)$, `rest_curvature` is $p$.
@@ -38,7 +41,7 @@ def hinge_energy(theta: Array, rest_curvature: Array, stiffness: Array) -> Array
     return stiffness * (0.5 * elastic * elastic + fold_stop(theta))
 
 
-def stop_derivatives(theta: Array) -> tuple[Array, Array]:
+def stop_derivatives(theta: Float[Array, " *axes"]) -> tuple[Float[Array, " *axes"], Float[Array, " *axes"]]:
     """First and second derivative of `fold_stop` with respect to the angle."""
     reach = jnp.pi - FOLD_STOP
     u = jnp.maximum(jnp.abs(theta) - FOLD_STOP, 0.0) / reach
@@ -58,29 +61,31 @@ class Bending(eqx.Module):
     - `rest_curvature`: (h,) dimensionless rest curvature of the undamaged sheet.
     """
 
-    nodes: Array
-    stiffness: Array
-    rest_curvature: Array
+    nodes: Int[Array, "hinges 4"]
+    stiffness: HingeValues
+    rest_curvature: HingeValues
 
-    def hinges(self, x: Array) -> Hinge:
+    def hinges(self, x: NodeVectors) -> Hinge:
         """Geometry of all hinges at positions `x` (n, 3)."""
         return hinge(*gather(x, self.nodes))
 
-    def element_energy(self, x: Array, p: Array) -> Array:
+    def element_energy(self, x: NodeVectors, p: HingeValues) -> HingeValues:
         """Energy of each hinge (h,) in J, with rest curvature `p` (h,)."""
         return hinge_energy(self.hinges(x).theta, p, self.stiffness)
 
-    def energy(self, x: Array, p: Array) -> Array:
+    def energy(self, x: NodeVectors, p: HingeValues) -> Scalar:
         """Bending energy in J (eq. 31)."""
         return jnp.sum(self.element_energy(x, p))
 
-    def force(self, hinges: Hinge, p: Array, n: int) -> Array:
+    def force(self, hinges: Hinge, p: HingeValues, n: int) -> NodeVectors:
         """Nodal forces (n, 3) in N from the hinges' geometry; minus the gradient of `energy`."""
         torque, _ = self._derivatives(hinges.theta, p, 0.0)
         gradient = hinge_gradient(hinges, -torque)
         return scatter(self.nodes, (gradient.g0, gradient.g1, gradient.g2, gradient.g3), n)
 
-    def blocks(self, x: Array, p: Array, softening: Array | None) -> Array:
+    def blocks(
+        self, x: NodeVectors, p: HingeValues, softening: HingeValues | None
+    ) -> Float[Array, "10 3 3 hinges"]:
         """Element Hessians (10, 3, 3, h) in N/m, blocks ordered as `upper_pairs(4)`.
 
         `softening` (h,) is dp/dc of the implicit plastic update (PHYSICS: $\\beta h f'/(1 + \\beta h f')$).
@@ -90,7 +95,9 @@ class Bending(eqx.Module):
         first, second = self._derivatives(hinges.theta, p, 0.0 if softening is None else softening)
         return hinge_hessian(hinges, first, second)
 
-    def _derivatives(self, theta: Array, p: Array, softening: Array | float) -> tuple[Array, Array]:
+    def _derivatives(
+        self, theta: HingeValues, p: HingeValues, softening: HingeValues | float
+    ) -> tuple[HingeValues, HingeValues]:
         """First and second derivative of the energies with respect to the angle, with dp/dc = `softening`."""
         stop1, stop2 = stop_derivatives(theta)
         c, slope = curvature(theta), jnp.cos(0.5 * theta)

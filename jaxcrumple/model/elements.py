@@ -1,9 +1,10 @@
 """Elements and their nodes: gather positions, scatter forces, order the pairs of a block Hessian."""
 
 import jax.numpy as jnp
-from jax import Array
 from jax.ops import segment_sum
+from jaxtyping import Array, Int
 
+from jaxcrumple._jax.arrays import NodeVectors
 from jaxcrumple.geometry.hinge import Vec
 
 
@@ -12,7 +13,7 @@ def upper_pairs(size: int) -> tuple[tuple[int, int], ...]:
     return tuple((a, b) for a in range(size) for b in range(a, size))
 
 
-def scatter(nodes: Array, vectors: tuple[Vec, ...], n: int) -> Array:
+def scatter(nodes: Int[Array, "elements corners"], vectors: tuple[Vec, ...], n: int) -> NodeVectors:
     """Sum element vectors at their nodes.
 
     **Arguments:** `nodes` (m, k) node numbers; `vectors` k vectors with components (m,); `n` nodes.

@@ -8,9 +8,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from jax.typing import ArrayLike
+from jaxtyping import Array, ArrayLike, Bool, Float, Integer, Real
 
+from jaxcrumple._jax.arrays import NodeValues, NodeVectors, NodeVectorsLike, Scalar, ScalarLike
 from jaxcrumple._jax.tree import as_float, as_numbers, is_known, require_finite, require_shape
 from jaxcrumple.model.elements import upper_pairs
 
@@ -23,18 +23,18 @@ START_ROUNDING = 1e-9
 class Gravity(eqx.Module):
     """Uniform acceleration `g` (3,) in m/s2 on the nodal masses `mass` (n,) in kg."""
 
-    g: Array = eqx.field(converter=as_float)
-    mass: Array = eqx.field(converter=as_float)
+    g: Float[Array, "3"] = eqx.field(converter=as_float)
+    mass: NodeValues = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
         require_shape("g of Gravity", self.g, (3,))
         require_finite("g of Gravity", self.g)
 
-    def energy(self, x: Array) -> Array:
+    def energy(self, x: NodeVectors) -> Scalar:
         """Potential energy in J, zero at the origin."""
         return -jnp.sum(self.force() * x)
 
-    def force(self) -> Array:
+    def force(self) -> NodeVectors:
         """Nodal forces (n, 3) in N."""
         return self.mass[:, None] * self.g[None, :]
 
@@ -43,15 +43,15 @@ class AbstractMotion(eqx.Module):
     """Positions of the nodes as a smooth function of time."""
 
     @abc.abstractmethod
-    def __call__(self, t: Array) -> Array:
+    def __call__(self, t: Scalar | float) -> NodeVectors:
         """Positions (n, 3) in m at time `t`; only prescribed components are used."""
 
 
 class LinearMotion(AbstractMotion):
     """Uniform motion: `position` (n, 3) in m at t = 0 and `velocity` (n, 3) or (3,) in m/s."""
 
-    position: Array = eqx.field(converter=as_float)
-    velocity: Array = eqx.field(converter=as_float)
+    position: NodeVectors = eqx.field(converter=as_float)
+    velocity: NodeVectors | Float[Array, "3"] = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
         if self.position.ndim != 2 or self.position.shape[1] != 3:
@@ -63,12 +63,12 @@ class LinearMotion(AbstractMotion):
         require_finite("position of LinearMotion", self.position)
         require_finite("velocity of LinearMotion", self.velocity)
 
-    def __call__(self, t: Array) -> Array:
+    def __call__(self, t: Scalar | float) -> NodeVectors:
         """Positions at time `t`."""
         return self.position + jnp.broadcast_to(self.velocity, self.position.shape) * t
 
 
-def _as_mask(value: ArrayLike) -> Array:
+def _as_mask(value: Bool[ArrayLike, "nodes 3"]) -> Bool[Array, "nodes 3"]:
     mask = value if isinstance(value, Array) else np.asarray(value)
     if mask.dtype != bool:
         raise ValueError(
@@ -93,9 +93,9 @@ class Prescribed(eqx.Module):
     A start must lie on the motion: `position(x, t)` moves it there. Velocities follow the motion.
     """
 
-    mask: Array = eqx.field(converter=_as_mask)
+    mask: Bool[Array, "nodes 3"] = eqx.field(converter=_as_mask)
     motion: AbstractMotion
-    until: Array = eqx.field(default=jnp.inf, converter=as_float)
+    until: Scalar | Float[Array, "nodes 1"] = eqx.field(default=jnp.inf, converter=as_float)
 
     def __check_init__(self) -> None:
         nodes = self.mask.shape[0]
@@ -114,28 +114,28 @@ class Prescribed(eqx.Module):
                 "(n, 3)."
             )
 
-    def held(self, t: Array) -> Array:
+    def held(self, t: Scalar | float) -> Bool[Array, "nodes 3"]:
         """Components (n, 3) that are prescribed at time `t`, with a tolerance for rounding."""
         return self.mask & (t <= (1.0 + ROUNDING) * self.until)
 
-    def position(self, x: Array, t: Array) -> Array:
+    def position(self, x: NodeVectorsLike, t: Scalar | float) -> NodeVectors:
         """`x` (n, 3) with the positions of the prescribed components inserted."""
         return jnp.where(self.held(t), self.motion(t), x)
 
-    def velocity(self, v: Array, t: Array) -> Array:
+    def velocity(self, v: NodeVectors, t: Scalar) -> NodeVectors:
         """`v` (n, 3) with the velocities of the prescribed components inserted."""
         return jnp.where(self.held(t), _derivative(self.motion, t), v)
 
-    def acceleration(self, a: Array, t: Array) -> Array:
+    def acceleration(self, a: NodeVectors, t: Scalar) -> NodeVectors:
         """`a` (n, 3) with the accelerations of the prescribed components inserted."""
         return jnp.where(self.held(t), _derivative(lambda s: _derivative(self.motion, s), t), a)
 
-    def free(self, residual: Array, t: Array) -> Array:
+    def free(self, residual: NodeVectors, t: Scalar) -> NodeVectors:
         """`residual` (n, 3) with the entries of components prescribed at time `t` set to zero."""
         return jnp.where(self.held(t), 0.0, residual)
 
 
-def check_motion(prescribed: Prescribed, t: Any) -> None:
+def check_motion(prescribed: Prescribed, t: Scalar | float) -> None:
     """Refuse a motion that is not finite at time `t` in s where it holds a node.
 
     Traced values are not checked.
@@ -155,7 +155,9 @@ def check_motion(prescribed: Prescribed, t: Any) -> None:
             )
 
 
-def check_supported(prescribed: Prescribed, x: ArrayLike, t: Any, size: Any) -> None:
+def check_supported(
+    prescribed: Prescribed, x: NodeVectorsLike, t: Scalar | float, size: Scalar | float
+) -> None:
     """Refuse positions `x` (n, 3) in m that differ from the prescribed motion at time `t` in s.
 
     The tolerance is `START_ROUNDING` times the sheet's `size` in m. Traced values are not checked.
@@ -176,17 +178,19 @@ def check_supported(prescribed: Prescribed, x: ArrayLike, t: Any, size: Any) -> 
         )
 
 
-def _held_motion(prescribed: Prescribed, t: ArrayLike) -> tuple[Array, Array, Array]:
+def _held_motion(
+    prescribed: Prescribed, t: Scalar | float
+) -> tuple[Bool[Array, "nodes 3"], NodeVectors, NodeVectors]:
     """Return the components held at time `t`, and the motion's positions and velocities (n, 3)."""
     now = as_float(t)
     return prescribed.held(now), prescribed.motion(now), _derivative(prescribed.motion, now)
 
 
-def _derivative(function: Callable[[Array], Array], t: Array) -> Array:
+def _derivative(function: Callable[[Scalar], NodeVectors], t: Scalar) -> NodeVectors:
     return jax.jvp(function, (t,), (jnp.ones_like(t),))[1]
 
 
-def _as_elements(value: ArrayLike) -> Array:
+def _as_elements(value: Integer[ArrayLike, "elements corners"]) -> Integer[Array, "elements corners"]:
     nodes = as_numbers("nodes of ElementEnergy", value)
     if nodes.ndim != 2:
         raise ValueError(
@@ -212,8 +216,8 @@ class ElementEnergy(eqx.Module):
     - `parameters`: any pytree of arrays with leading axis m, sliced for each element (or None).
     """
 
-    nodes: Array = eqx.field(converter=_as_elements)
-    function: Callable[[Array, Any, Array], Array] = eqx.field(static=True)
+    nodes: Integer[Array, "elements corners"] = eqx.field(converter=_as_elements)
+    function: Callable[[Float[Array, "corners 3"], Any, Scalar], ScalarLike] = eqx.field(static=True)
     parameters: Any = None
 
     def __check_init__(self) -> None:
@@ -230,25 +234,29 @@ class ElementEnergy(eqx.Module):
                     "elements."
                 )
 
-    def _map(self, transform: Callable, x: Array, t: Array) -> Array:
+    def _map(
+        self, transform: Callable[[Callable], Callable], x: NodeVectors, t: Scalar | float
+    ) -> Float[Array, "elements ..."]:
         return jax.vmap(transform(self.function), (0, 0, None))(x[self.nodes], self.parameters, t)
 
-    def energy(self, x: Array, t: Array) -> Array:
+    def energy(self, x: NodeVectors, t: Scalar | float) -> Scalar:
         """Energy in J at positions `x` (n, 3) and time `t`."""
         return jnp.sum(self._map(lambda f: f, x, t))
 
-    def force(self, x: Array, t: Array) -> Array:
+    def force(self, x: NodeVectors, t: Scalar | float) -> NodeVectors:
         """Nodal forces (n, 3) in N."""
         return jnp.zeros_like(x).at[self.nodes].add(-self._map(jax.grad, x, t))
 
-    def blocks(self, x: Array, t: Array) -> Array:
+    def blocks(self, x: NodeVectors, t: Scalar | float) -> Float[Array, "pairs 3 3 elements"]:
         """Element Hessians (pairs, 3, 3, m) in N/m, blocks ordered as `upper_pairs(k)`."""
         hessian = self._map(jax.hessian, x, t)
         pairs = upper_pairs(self.nodes.shape[1])
         return jnp.stack([jnp.moveaxis(hessian[:, a, :, b, :], 0, -1) for a, b in pairs])
 
 
-def dead_load(nodes: ArrayLike, force: ArrayLike, ramp: float) -> ElementEnergy:
+def dead_load(
+    nodes: Integer[ArrayLike, " loaded"], force: Real[ArrayLike, "loaded 3"], ramp: float
+) -> ElementEnergy:
     """Make forces of fixed direction that grow linearly from zero at t = 0 and are constant after `ramp` s.
 
     **Arguments:** `nodes` (m,) node numbers; `force` (m, 3) their final forces in N; `ramp` > 0.
@@ -268,6 +276,6 @@ def dead_load(nodes: ArrayLike, force: ArrayLike, ramp: float) -> ElementEnergy:
     return ElementEnergy(numbers[:, None], _dead_energy, (final, ramps))
 
 
-def _dead_energy(x: Array, parameters: tuple[Array, Array], t: Array) -> Array:
+def _dead_energy(x: Float[Array, "1 3"], parameters: tuple[Float[Array, "3"], Scalar], t: Scalar) -> Scalar:
     force, ramp = parameters
     return -jnp.clip(t / ramp, 0.0, 1.0) * (force @ x[0])

@@ -1,17 +1,21 @@
 """Plastic flow of the rest curvature (eqs. 34-36)."""
 
 import abc
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Array, Float
 
+from jaxcrumple._jax.arrays import Count, Flag, HingeValues, Scalar
 from jaxcrumple._jax.tree import as_float, is_known, require_numbers
 
 # Every iteration halves the bracket or the step, so this many iterations always suffice in float64.
 MAX_ITERATIONS = 120
+# Root, ends of the bracket, last step and number of iterations.
+Bracket = tuple[HingeValues, HingeValues, HingeValues, HingeValues, Count | int]
 
 
 class AbstractFlowRule(eqx.Module):
@@ -22,7 +26,7 @@ class AbstractFlowRule(eqx.Module):
     """
 
     @abc.abstractmethod
-    def rate(self, c: Array, p: Array) -> Array:
+    def rate(self, c: HingeValues, p: HingeValues) -> HingeValues:
         """dp/dt in 1/s for curvatures `c` and rest curvatures `p`, both (h,)."""
 
 
@@ -35,9 +39,9 @@ class SmoothstepFlow(AbstractFlowRule):
     **Arguments:** `yield_threshold` (h,) dimensionless $c_0 < 2$; `time` T in s; `gamma` >= 0.
     """
 
-    yield_threshold: Array = eqx.field(converter=as_float)
-    time: Array = eqx.field(converter=as_float)
-    gamma: Array = eqx.field(converter=as_float)
+    yield_threshold: Scalar | HingeValues = eqx.field(converter=as_float)
+    time: Scalar | HingeValues = eqx.field(converter=as_float)
+    gamma: Scalar | HingeValues = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
         require_numbers("yield_threshold of SmoothstepFlow", self.yield_threshold)
@@ -49,20 +53,22 @@ class SmoothstepFlow(AbstractFlowRule):
                 "below 2, the largest curvature of a hinge."
             )
 
-    def rate(self, c: Array, p: Array) -> Array:
+    def rate(self, c: HingeValues, p: HingeValues) -> HingeValues:
         """dp/dt in 1/s (eqs. 34-36)."""
         elastic = c - p
         excess = (jnp.abs(elastic) - self.yield_threshold) / (2.0 - self.yield_threshold)
         return jnp.sign(elastic) * smoothstep(excess) / (self.time * (1.0 + self.gamma))
 
 
-def smoothstep(u: Array) -> Array:
+def smoothstep(u: Float[Array, " *axes"]) -> Float[Array, " *axes"]:
     """$6u^5 - 15u^4 + 10u^3$, clamped to [0, 1] (eq. 36)."""
     u = jnp.clip(u, 0.0, 1.0)
     return u * u * u * (10.0 + u * (6.0 * u - 15.0))
 
 
-def implicit_update(rule: AbstractFlowRule, c: Array, memory: Array, beta_h: Array) -> tuple[Array, Array]:
+def implicit_update(
+    rule: AbstractFlowRule, c: HingeValues, memory: HingeValues, beta_h: Scalar
+) -> tuple[HingeValues, HingeValues]:
     """Compute the rest curvature of an implicit step and its slope dp/dc.
 
     Solves $p - p_* - \\beta h\\, \\dot p(c, p) = 0$ hinge by hinge (eq. 48), with `memory` $= -p_* =
@@ -73,10 +79,10 @@ def implicit_update(rule: AbstractFlowRule, c: Array, memory: Array, beta_h: Arr
     """
     start = -memory
 
-    def mismatch(p: Array, c: Array) -> Array:
+    def mismatch(p: HingeValues, c: HingeValues) -> HingeValues:
         return p - start - beta_h * rule.rate(c, p)
 
-    def slopes(p: Array, c: Array) -> tuple[Array, Array, Array]:
+    def slopes(p: HingeValues, c: HingeValues) -> tuple[HingeValues, HingeValues, HingeValues]:
         by_p = jax.jvp(lambda p: rule.rate(c, p), (p,), (jnp.ones_like(p),))[1]
         by_c = jax.jvp(lambda c: rule.rate(c, p), (c,), (jnp.ones_like(c),))[1]
         return mismatch(p, c), 1.0 - beta_h * by_p, beta_h * by_c
@@ -88,10 +94,12 @@ def implicit_update(rule: AbstractFlowRule, c: Array, memory: Array, beta_h: Arr
     return root - value / by_p, by_c / by_p
 
 
-def _bracketed_root(function, start: Array, end: Array) -> Array:
+def _bracketed_root(
+    function: Callable[[HingeValues], tuple[HingeValues, HingeValues]], start: HingeValues, end: HingeValues
+) -> HingeValues:
     """Find the root of an increasing function between `start` and `end`, elementwise."""
 
-    def body(carry):
+    def body(carry: Bracket) -> Bracket:
         p, low, high, step, count = carry
         value, slope = function(p)
         low, high = jnp.where(value < 0, p, low), jnp.where(value > 0, p, high)
@@ -104,9 +112,9 @@ def _bracketed_root(function, start: Array, end: Array) -> Array:
         new = jnp.where(value == 0, p, new)
         return new, low, high, new - p, count + 1
 
-    def unfinished(carry):
+    def unfinished(carry: Bracket) -> Flag:
         return (jnp.max(jnp.abs(carry[3])) > 1e-15) & (carry[4] < MAX_ITERATIONS)
 
     low, high = jnp.minimum(start, end), jnp.maximum(start, end)
-    init = (start, low, high, high - low + 1.0, 0)
+    init: Bracket = (start, low, high, high - low + 1.0, 0)
     return jax.lax.while_loop(unfinished, body, init)[0]

@@ -12,9 +12,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from jax.typing import ArrayLike
+from jaxtyping import Array, Float
 
+from jaxcrumple._jax.arrays import NodeValues, NodeVectors, Scalar, ScalarLike
 from jaxcrumple._jax.tree import as_float, is_known, require_numbers, require_shape
 from jaxcrumple.geometry.hinge import dot
 
@@ -29,6 +29,8 @@ TINY = 1e-30
 # Tolerance on the length of a unit vector.
 UNIT_ROUNDING = 1e-6
 
+OfTime = Callable[[Scalar | float], Scalar]
+
 
 class Ramp(eqx.Module):
     """A linear function of time, `start` + `rate` * t, constant after the time `until` in s.
@@ -36,15 +38,15 @@ class Ramp(eqx.Module):
     Any callable module of t may replace it.
     """
 
-    start: Array = eqx.field(converter=as_float)
-    rate: Array = eqx.field(converter=as_float)
-    until: Array | float = eqx.field(default=jnp.inf, converter=as_float)
+    start: Scalar = eqx.field(converter=as_float)
+    rate: Scalar = eqx.field(converter=as_float)
+    until: Scalar = eqx.field(default=jnp.inf, converter=as_float)
 
     def __check_init__(self) -> None:
         for name in ("start", "rate", "until"):
             require_shape(f"{name} of Ramp", getattr(self, name), ())
 
-    def __call__(self, t: Array) -> Array:
+    def __call__(self, t: Scalar | float) -> Scalar:
         """Value at time `t`."""
         return self.start + self.rate * jnp.minimum(t, self.until)
 
@@ -55,8 +57,8 @@ class PiecewiseLinear(eqx.Module):
     It is constant before the first and after the last time.
     """
 
-    times: Array = eqx.field(converter=as_float)
-    values: Array = eqx.field(converter=as_float)
+    times: Float[Array, " corners"] = eqx.field(converter=as_float)
+    values: Float[Array, " corners"] = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
         require_shape("times of PiecewiseLinear", self.times, (self.times.size,))
@@ -67,12 +69,12 @@ class PiecewiseLinear(eqx.Module):
                 "times of PiecewiseLinear must be at least one time in s, and must not decrease."
             )
 
-    def __call__(self, t: Array) -> Array:
+    def __call__(self, t: Scalar | float) -> Scalar:
         """Value at time `t`."""
         return jnp.interp(t, self.times, self.values)
 
 
-def of_time(value: ArrayLike | Callable[[Array], Array]) -> Callable[[Array], Array]:
+def of_time(value: ScalarLike | OfTime) -> OfTime:
     """Make a constant number a function of time; return a callable unchanged."""
     return value if callable(value) else Ramp(as_float(value), as_float(0.0))
 
@@ -81,7 +83,7 @@ class AbstractShape(eqx.Module):
     """The geometry of a wall."""
 
     @abc.abstractmethod
-    def gap(self, point: Array, t: Array) -> Array:
+    def gap(self, point: Float[Array, "3"], t: Scalar | float) -> Scalar:
         """Signed distance in m from the `point` (3,) to the wall at time `t`; positive inside."""
 
 
@@ -103,13 +105,14 @@ def _check_vectors(shape: AbstractShape, *points: str, unit: str | None = None) 
 class Sphere(AbstractShape):
     """The inside of a sphere: `center` (3,) in m, `radius` in m, a number or a callable of time."""
 
-    center: Array = eqx.field(converter=as_float)
-    radius: Callable[[Array], Array] = eqx.field(converter=of_time)
+    center: Float[Array, "3"] = eqx.field(converter=as_float)
+    radius: OfTime = eqx.field(converter=of_time)
 
     def __check_init__(self) -> None:
         _check_vectors(self, "center")
 
-    def gap(self, point: Array, t: Array) -> Array:
+    # Of the shape of `radius(t)`: `check_surroundings` refuses all but one number.
+    def gap(self, point: Float[Array, "3"], t: Scalar | float) -> Float[Array, "..."]:
         """Radius minus distance from the centre."""
         offset = point - self.center
         return self.radius(t) - jnp.sqrt(dot(offset, offset) + TINY)
@@ -121,14 +124,14 @@ class Cylinder(AbstractShape):
     `radius` in m is a number or a callable of time.
     """
 
-    center: Array = eqx.field(converter=as_float)
-    axis: Array = eqx.field(converter=as_float)
-    radius: Callable[[Array], Array] = eqx.field(converter=of_time)
+    center: Float[Array, "3"] = eqx.field(converter=as_float)
+    axis: Float[Array, "3"] = eqx.field(converter=as_float)
+    radius: OfTime = eqx.field(converter=of_time)
 
     def __check_init__(self) -> None:
         _check_vectors(self, "center", unit="axis")
 
-    def gap(self, point: Array, t: Array) -> Array:
+    def gap(self, point: Float[Array, "3"], t: Scalar | float) -> Scalar:
         """Radius minus distance from the axis."""
         offset = point - self.center
         radial = offset - dot(offset, self.axis) * self.axis
@@ -141,13 +144,13 @@ class Plane(AbstractShape):
     `offset` in m is a number or a callable of time.
     """
 
-    normal: Array = eqx.field(converter=as_float)
-    offset: Callable[[Array], Array] = eqx.field(converter=of_time)
+    normal: Float[Array, "3"] = eqx.field(converter=as_float)
+    offset: OfTime = eqx.field(converter=of_time)
 
     def __check_init__(self) -> None:
         _check_vectors(self, unit="normal")
 
-    def gap(self, point: Array, t: Array) -> Array:
+    def gap(self, point: Float[Array, "3"], t: Scalar | float) -> Scalar:
         """Height above the plane."""
         return dot(self.normal, point) - self.offset(t)
 
@@ -158,10 +161,10 @@ class Cone(AbstractShape):
     The tip is at `center` + `height` * `axis`; `height` in m is a number or a callable of time.
     """
 
-    center: Array = eqx.field(converter=as_float)
-    axis: Array = eqx.field(converter=as_float)
-    half_angle: Array = eqx.field(converter=as_float)
-    height: Callable[[Array], Array] = eqx.field(converter=of_time)
+    center: Float[Array, "3"] = eqx.field(converter=as_float)
+    axis: Float[Array, "3"] = eqx.field(converter=as_float)
+    half_angle: Scalar = eqx.field(converter=as_float)
+    height: OfTime = eqx.field(converter=of_time)
 
     def __check_init__(self) -> None:
         _check_vectors(self, "center", unit="axis")
@@ -172,7 +175,7 @@ class Cone(AbstractShape):
                 "numpy.radians for degrees."
             )
 
-    def gap(self, point: Array, t: Array) -> Array:
+    def gap(self, point: Float[Array, "3"], t: Scalar | float) -> Scalar:
         """Distance from the cone's surface."""
         offset = point - self.center
         along = dot(offset, self.axis)
@@ -187,16 +190,16 @@ class Ball(AbstractShape):
     `height` in m is a number or a callable of time, `axis` a unit vector (3,).
     """
 
-    center: Array = eqx.field(converter=as_float)
-    axis: Array = eqx.field(converter=as_float)
-    radius: Array = eqx.field(converter=as_float)
-    height: Callable[[Array], Array] = eqx.field(converter=of_time)
+    center: Float[Array, "3"] = eqx.field(converter=as_float)
+    axis: Float[Array, "3"] = eqx.field(converter=as_float)
+    radius: Scalar = eqx.field(converter=as_float)
+    height: OfTime = eqx.field(converter=of_time)
 
     def __check_init__(self) -> None:
         _check_vectors(self, "center", unit="axis")
         require_numbers("radius of Ball", self.radius, positive=True)
 
-    def gap(self, point: Array, t: Array) -> Array:
+    def gap(self, point: Float[Array, "3"], t: Scalar | float) -> Scalar:
         """Distance from the centre minus radius."""
         offset = point - self.center - self.height(t) * self.axis
         return jnp.sqrt(dot(offset, offset) + TINY) - self.radius
@@ -210,16 +213,16 @@ class HoledPlate(AbstractShape):
     radius of the hole, a number or a callable of time.
     """
 
-    center: Array = eqx.field(converter=as_float)
-    axis: Array = eqx.field(converter=as_float)
-    radius: Callable[[Array], Array] = eqx.field(converter=of_time)
-    edge: Array = eqx.field(converter=as_float)
+    center: Float[Array, "3"] = eqx.field(converter=as_float)
+    axis: Float[Array, "3"] = eqx.field(converter=as_float)
+    radius: OfTime = eqx.field(converter=of_time)
+    edge: Scalar = eqx.field(converter=as_float)
 
     def __check_init__(self) -> None:
         _check_vectors(self, "center", unit="axis")
         require_numbers("edge of HoledPlate", self.edge)
 
-    def gap(self, point: Array, t: Array) -> Array:
+    def gap(self, point: Float[Array, "3"], t: Scalar | float) -> Scalar:
         """Distance from the plate's surface."""
         offset = point - self.center
         along = dot(offset, self.axis)
@@ -228,7 +231,7 @@ class HoledPlate(AbstractShape):
         return jnp.sqrt(inside**2 + along**2 + TINY) - self.edge
 
 
-def wall_law(nearness: Array) -> Array:
+def wall_law(nearness: Scalar) -> Scalar:
     """$s^3 / (3 (1 - s))$ at the `nearness` s >= 0, and its Taylor polynomial beyond `NEAREST`."""
     s = jnp.minimum(nearness, NEAREST)
     law = s**3 / (3.0 * (1.0 - s))
@@ -247,34 +250,34 @@ class Wall(eqx.Module):
     """
 
     shape: AbstractShape
-    stiffness: Array = eqx.field(converter=as_float)
-    range: Array = eqx.field(converter=as_float)
+    stiffness: NodeValues = eqx.field(converter=as_float)
+    range: Scalar = eqx.field(converter=as_float)
 
-    def node_energy(self, x: Array, t: Array) -> Array:
+    def node_energy(self, x: NodeVectors, t: Scalar | float) -> NodeValues:
         """Energy of each node (n,) in J."""
         return jax.vmap(self._energy, (0, 0, None))(x, self.stiffness, t)
 
-    def _energy(self, point: Array, stiffness: Array, t: Array) -> Array:
+    def _energy(self, point: Float[Array, "3"], stiffness: Scalar, t: Scalar | float) -> Scalar:
         nearness = jnp.maximum(1.0 - self.shape.gap(point, t) / self.range, 0.0)
         return stiffness * self.range**2 * wall_law(nearness)
 
-    def energy(self, x: Array, t: Array) -> Array:
+    def energy(self, x: NodeVectors, t: Scalar | float) -> Scalar:
         """Energy in J at positions `x` (n, 3) and time `t`."""
         return jnp.sum(self.node_energy(x, t))
 
-    def gap(self, x: Array, t: Array) -> Array:
+    def gap(self, x: NodeVectors, t: Scalar | float) -> NodeValues:
         """Signed gap of each node (n,) in m; negative means the node is behind the wall."""
         return jax.vmap(self.shape.gap, (0, None))(x, t)
 
-    def force(self, x: Array, t: Array) -> Array:
+    def force(self, x: NodeVectors, t: Scalar | float) -> NodeVectors:
         """Nodal forces (n, 3) in N."""
         return -jax.vmap(jax.grad(self._energy), (0, 0, None))(x, self.stiffness, t)
 
-    def stiffness_bound(self, x: Array, t: Array) -> Array:
+    def stiffness_bound(self, x: NodeVectors, t: Scalar | float) -> NodeValues:
         """Largest stiffness of each node (n,) in N/m."""
         nearness = jnp.maximum(1.0 - self.gap(x, t) / self.range, 0.0)
         return self.stiffness * jax.vmap(jax.grad(jax.grad(wall_law)))(nearness)
 
-    def blocks(self, x: Array, t: Array) -> Array:
+    def blocks(self, x: NodeVectors, t: Scalar | float) -> Float[Array, "nodes 3 3"]:
         """Hessian of each node (n, 3, 3) in N/m."""
         return jax.vmap(jax.hessian(self._energy), (0, 0, None))(x, self.stiffness, t)

@@ -10,6 +10,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 
 from jaxcrumple.io import Run
 from jaxcrumple.paper.base import Figure, Runs, save_table
@@ -53,7 +54,7 @@ def folded(run: Run) -> dict[str, float]:
     }
 
 
-def collapse(table: pd.DataFrame) -> tuple[np.ndarray, float, float]:
+def collapse(table: pd.DataFrame) -> tuple[Float[np.ndarray, " 3"], float, float]:
     """Fit the coefficients a, b, d of the map; return them and the rms residuals with and without d.
 
     **Arguments:** `table`: rows from `folded`.

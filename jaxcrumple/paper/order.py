@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import scipy.sparse as sparse
+from jaxtyping import Int
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from jaxcrumple.mesh.generate import rectangle
@@ -26,14 +27,14 @@ def coupling(mesh: Mesh) -> sparse.csr_array:
     return sparse.csr_array(pattern)
 
 
-def share_in_blocks(pattern: sparse.csr_array, order: np.ndarray, size: int) -> float:
+def share_in_blocks(pattern: sparse.csr_array, order: Int[np.ndarray, " nodes"], size: int) -> float:
     """Return the share of the entries inside diagonal blocks of `size` nodes, for a node order (n,)."""
     place = np.argsort(order)
     row, column = (place[part] // size for part in pattern.nonzero())
     return float(np.mean(row == column))
 
 
-def share_of_blocks(pattern: sparse.csr_array, order: np.ndarray, size: int) -> float:
+def share_of_blocks(pattern: sparse.csr_array, order: Int[np.ndarray, " nodes"], size: int) -> float:
     """Return the filled share of the diagonal blocks of `size` nodes, for a node order (n,)."""
     whole, rest = divmod(len(order), size)
     return share_in_blocks(pattern, order, size) * pattern.nnz / (whole * size**2 + rest**2)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 
 from jaxcrumple.io import Run
 from jaxcrumple.measure import center_of_mass, cross_section, mean_curvature, stacked_layers, volume_fraction
@@ -79,7 +80,7 @@ def _draw_inside(runs: Runs, folder: Path) -> list[Path]:
     return [*paths, save_table(pd.concat(rows), folder / "figure_8b.csv")]
 
 
-def _cut(mesh: Mesh, x: np.ndarray) -> pd.DataFrame:
+def _cut(mesh: Mesh, x: Float[np.ndarray, "nodes 3"]) -> pd.DataFrame:
     """Return both ends in m of the lines in which the plane of (b) cuts the triangles at `x` (n, 3)."""
     section = cross_section(mesh, x, center_of_mass(mesh, x), (0.0, 0.0, 1.0))
     ends = pd.DataFrame(section.ends.reshape(-1, 4), columns=["u0", "w0", "u1", "w1"])

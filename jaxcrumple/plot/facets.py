@@ -6,16 +6,18 @@ selects the format.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import ArrayLike, Float, Int, Real
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import hsv_to_rgb
-from numpy.typing import ArrayLike
 
+from jaxcrumple._jax.arrays import HingeValuesLike
 from jaxcrumple.measure import DAMAGE, area_density, damaged, fit_areas, fit_growth
 from jaxcrumple.measure.growth import LAWS
-from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.plot.figure import new_figure, save_figure
 
 MEASURED, THEORY, FAINT = "#1f6fb4", "black", "#999999"
@@ -23,8 +25,8 @@ MEASURED, THEORY, FAINT = "#1f6fb4", "black", "#999999"
 
 def plot_facets(
     mesh: Mesh,
-    label: ArrayLike,
-    p: ArrayLike,
+    label: Int[ArrayLike, " faces"],
+    p: HingeValuesLike,
     *,
     threshold: float = DAMAGE,
     caption: str = "",
@@ -57,7 +59,12 @@ def plot_facets(
 
 
 def plot_areas(
-    areas: ArrayLike, sheets: int = 1, *, bins: int = 8, caption: str = "", path: str | Path
+    areas: Real[ArrayLike, " facets"] | Sequence[float],
+    sheets: int = 1,
+    *,
+    bins: int = 8,
+    caption: str = "",
+    path: str | Path,
 ) -> Path:
     """Plot the density of areas over their mean, and the fragmentation law of this mean (Fig. 9d, bottom).
 
@@ -97,7 +104,13 @@ def plot_areas(
     return save_figure(figure, path)
 
 
-def plot_growth(cycle: ArrayLike, length: ArrayLike, *, caption: str = "", path: str | Path) -> Path:
+def plot_growth(
+    cycle: Real[ArrayLike, " cycles"] | Sequence[float],
+    length: Real[ArrayLike, "... cycles"] | Sequence[float],
+    *,
+    caption: str = "",
+    path: str | Path,
+) -> Path:
     """Plot the crease length in m against the cycle number, and the laws fitted by `fit_growth` (Fig. 9b).
 
     **Arguments:** `cycle` (m,), `length` (m,): as for `fit_growth`, or `length` (k, m) of k sheets; the
@@ -124,7 +137,7 @@ def plot_growth(cycle: ArrayLike, length: ArrayLike, *, caption: str = "", path:
     return save_figure(figure, path)
 
 
-def _random_colors(count: int) -> FloatArray:
+def _random_colors(count: int) -> Float[np.ndarray, "colors 3"]:
     """Return reproducible light colours (count, 3); consecutive ones differ strongly in hue."""
     rng = np.random.default_rng(0)
     hue = (0.618034 * np.arange(count)) % 1  # steps of the golden section

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from jaxtyping import ArrayLike, Float, Real
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
@@ -20,12 +21,12 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-from numpy.typing import ArrayLike
 
+from jaxcrumple._jax.arrays import HingeValuesLike, NodeVectorsLike
 from jaxcrumple.io.run import Run, load
 from jaxcrumple.measure import DAMAGE, crease_pattern, mean_curvature, mountain_valley_length
 from jaxcrumple.measure.strain import positions
-from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.plot.figure import new_figure, save_figure
 from jaxcrumple.run.config import MaterialOptions, SolverOptions
 from jaxcrumple.solvers.log import AFTER, STEP
@@ -53,9 +54,9 @@ ROBUST = 0.98
 
 def plot_sheet(
     mesh: Mesh,
-    x: ArrayLike,
+    x: NodeVectorsLike,
     *,
-    color: ArrayLike | None = None,
+    color: Real[ArrayLike, " values"] | None = None,
     label: str | None = None,
     caption: str = "",
     path: str | Path,
@@ -84,8 +85,8 @@ def plot_sheet(
 
 def plot_creases(
     mesh: Mesh,
-    x: ArrayLike,
-    p: ArrayLike,
+    x: NodeVectorsLike,
+    p: HingeValuesLike,
     *,
     threshold: float = DAMAGE,
     caption: str = "",
@@ -224,7 +225,13 @@ def about(*runs: Run, t: float | None = None) -> str:
 # Parts
 
 
-def draw_sheet(axes: Any, mesh: Mesh, x: FloatArray, scale: ScalarMappable, values: FloatArray) -> None:
+def draw_sheet(
+    axes: Any,
+    mesh: Mesh,
+    x: Float[np.ndarray, "nodes 3"],
+    scale: ScalarMappable,
+    values: Float[np.ndarray, " ..."],
+) -> None:
     """Draw the shaded sheet at positions `x` (n, 3) in m into three-dimensional axes in mm; `values` per node
     or face set the colours."""
     corners = 1e3 * x[mesh.faces]
@@ -233,7 +240,7 @@ def draw_sheet(axes: Any, mesh: Mesh, x: FloatArray, scale: ScalarMappable, valu
     _equal_box(axes, 1e3 * x)
 
 
-def draw_flat(axes: Axes, mesh: Mesh, scale: ScalarMappable, values: FloatArray) -> None:
+def draw_flat(axes: Axes, mesh: Mesh, scale: ScalarMappable, values: Float[np.ndarray, " nodes"]) -> None:
     """Draw node `values` (n,) as colours on the flat sheet into axes in mm."""
     flat = 1e3 * mesh.vertices
     sheet = Triangulation(flat[:, 0], flat[:, 1], mesh.faces)
@@ -253,7 +260,7 @@ def _thresholds(run: Run) -> list[float]:
     return [float(switch.down / unit), float(switch.up / unit)]
 
 
-def color_scale(values: FloatArray, *, signed: bool) -> ScalarMappable:
+def color_scale(values: Float[np.ndarray, " ..."], *, signed: bool) -> ScalarMappable:
     """Return a colour scale: symmetric about 0 if `signed`, else from low to high; outliers saturate."""
     finite = values[np.isfinite(values)]
     if signed:
@@ -267,7 +274,7 @@ def color_scale(values: FloatArray, *, signed: bool) -> ScalarMappable:
     return scale
 
 
-def _on_faces(mesh: Mesh, values: FloatArray) -> FloatArray:
+def _on_faces(mesh: Mesh, values: Float[np.ndarray, " ..."]) -> Float[np.ndarray, " faces"]:
     if values.shape == (len(mesh.faces),):
         return values
     if values.shape == (mesh.n_nodes,):
@@ -275,7 +282,9 @@ def _on_faces(mesh: Mesh, values: FloatArray) -> FloatArray:
     raise ValueError(f"color has shape {values.shape}; give one value per node or per face of the mesh")
 
 
-def _shaded(colors: FloatArray, corners: FloatArray) -> FloatArray:
+def _shaded(
+    colors: Float[np.ndarray, "faces 4"], corners: Float[np.ndarray, "faces 3 3"]
+) -> Float[np.ndarray, "faces 4"]:
     """Darken face `colors` (f, 4) with the angle between face normal and lamp, equally on both sides."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
@@ -285,7 +294,7 @@ def _shaded(colors: FloatArray, corners: FloatArray) -> FloatArray:
     return shaded
 
 
-def _equal_box(axes: Any, x: FloatArray) -> None:
+def _equal_box(axes: Any, x: Float[np.ndarray, "nodes 3"]) -> None:
     """Set limits around the positions with equal scales on all axes; leave some height for a flat sheet."""
     low, high = x.min(axis=0), x.max(axis=0)
     half = np.maximum(high - low, 0.15 * (high - low).max()) / 2
@@ -308,7 +317,7 @@ def _stage_lines(axes: Axes, steps: pd.DataFrame, column: str) -> None:
         axes.plot(t[stage == name], y[stage == name], ".", color=STAGE_COLORS[name], markersize=2)
 
 
-def _switch_times(history: pd.DataFrame, events: pd.DataFrame | None) -> FloatArray:
+def _switch_times(history: pd.DataFrame, events: pd.DataFrame | None) -> Float[np.ndarray, " switches"]:
     if events is not None and {"t", "to"} <= set(events.columns):
         chosen = events[events["to"].isin(STAGES)]
         if len(chosen):

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.collections import LineCollection, PolyCollection
-from numpy.typing import ArrayLike
 
+from jaxcrumple._jax.arrays import NodeVectorsLike
 from jaxcrumple.measure import (
     Distribution,
     VolumeFraction,
@@ -19,6 +19,7 @@ from jaxcrumple.measure import (
     cross_section,
     thick_section,
 )
+from jaxcrumple.measure.sections import Vector
 from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.plot.figure import new_figure, save_figure
 
@@ -27,11 +28,11 @@ SHEET = "#1f3b5c"
 
 def plot_section(
     mesh: Mesh,
-    x: ArrayLike,
+    x: NodeVectorsLike,
     thickness: float,
     *,
-    normal: ArrayLike = (0.0, 0.0, 1.0),
-    point: ArrayLike | None = None,
+    normal: Vector = (0.0, 0.0, 1.0),
+    point: Vector | None = None,
     caption: str = "",
     path: str | Path,
 ) -> Path:

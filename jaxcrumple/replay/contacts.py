@@ -4,8 +4,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Array, Bool, Float, Int
 
+from jaxcrumple._jax.arrays import Flag, NodeVectors
 from jaxcrumple.assembly.merged_matrix import Merger
 from jaxcrumple.contact.host_broad_phase import Search
 from jaxcrumple.contact.lists import (
@@ -37,15 +38,19 @@ class StretchLists(eqx.Module):
     `matrix`: structure of the matrix of a direct solver, arrays (g, ...), or None; `capacity` of the site
     pairs of a step."""
 
-    triangles: Array
-    count: Array
-    folded: Array
+    triangles: Int[Array, "*stretches pairs 2"]
+    count: Int[Array, " *stretches"]
+    folded: Bool[Array, "*stretches ways"]
     matrix: MatrixPairs | None
     capacity: Capacity = eqx.field(static=True)
 
 
 def make_lists(
-    scene: Scene, start: np.ndarray, x: np.ndarray, explicit: np.ndarray, merged: bool
+    scene: Scene,
+    start: Float[np.ndarray, "nodes 3"],
+    x: Float[np.ndarray, "stretches steps nodes 3"],
+    explicit: Bool[np.ndarray, "stretches steps"],
+    merged: bool,
 ) -> StretchLists:
     """Build the contact lists of all stretches of steps of a run.
 
@@ -68,8 +73,11 @@ def make_lists(
 
 
 def _met(
-    search: Search, before: np.ndarray, x: np.ndarray, explicit: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    search: Search,
+    before: Float[np.ndarray, "steps nodes 3"],
+    x: Float[np.ndarray, "steps nodes 3"],
+    explicit: Bool[np.ndarray, " steps"],
+) -> tuple[Int[np.ndarray, "pairs 2"], Bool[np.ndarray, " ways"]]:
     """Find the candidate pairs of the steps from `before` to `x` (s, n, 3).
 
     Returns the sorted pairs of triangles (c, 2), and the flags `folded` (w,) as in `CandidatePairs`."""
@@ -89,7 +97,7 @@ def _met(
     return np.stack([key // n, key % n], axis=1), folded
 
 
-def _merged(merger: Merger, found: list[np.ndarray]) -> MatrixPairs:
+def _merged(merger: Merger, found: list[Int[np.ndarray, "_ 2"]]) -> MatrixPairs:
     """Build the merged matrices of all stretches, with equal capacity."""
     room = FEWEST
     while True:
@@ -112,7 +120,7 @@ def in_stretch(scene: Scene, lists: StretchLists | None) -> Scene:
     return with_lists(scene, ContactLists(candidates, pairs, matrix=lists.matrix))
 
 
-def in_step(scene: Scene, old: Array, new: Array, between: Array | bool) -> Scene:
+def in_step(scene: Scene, old: NodeVectors, new: NodeVectors, between: Flag | bool) -> Scene:
     """Build the site pairs of one step in the scene of its stretch.
 
     `old`, `new` (n, 3): recorded positions in m at the ends of the step; `between`: whether the step also

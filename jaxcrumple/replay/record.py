@@ -5,8 +5,9 @@ import warnings
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
+from jaxcrumple._jax.arrays import Scalar
 from jaxcrumple._jax.memory import gigabytes, times_that_fit
 from jaxcrumple.contact.lists import doubled
 from jaxcrumple.replay.contacts import StretchLists, make_lists
@@ -37,14 +38,14 @@ class Steps(eqx.Module):
     is none; `x` (g, s, n, 3) m: positions at the end of the step.
     """
 
-    valid: Array
-    t: Array
-    h: Array
-    stage: Array
-    order: Array
-    past: Array
-    frame: Array
-    x: Array
+    valid: Bool[Array, " *steps"]
+    t: Float[Array, " *steps"]
+    h: Float[Array, " *steps"]
+    stage: Int[Array, " *steps"]
+    order: Int[Array, " *steps"]
+    past: Float[Array, "*steps points"]
+    frame: Int[Array, " *steps"]
+    x: Float[Array, "*steps nodes 3"]
 
 
 class Record(eqx.Module):
@@ -58,13 +59,13 @@ class Record(eqx.Module):
 
     scene: Scene
     start: State
-    t: Array
+    t: Float[Array, " frames"]
     steps: Steps
     lists: StretchLists | None
     explicit: AbstractExplicit | None
     linear: AbstractLinearSolver | None
-    rho_infinity: Array
-    snaps: Array
+    rho_infinity: Scalar
+    snaps: Float[Array, " 64"]
     inertia: bool = eqx.field(static=True)
     stages: tuple[int, ...] = eqx.field(static=True)
 
@@ -79,7 +80,7 @@ class StepRecorder:
         if isinstance(solver.implicit, BDFPair):
             raise ValueError("the scheme 'paper' cannot be recorded: choose another one, such as 'hybrid'.")
         self.start = start
-        self.trails: list[list[np.ndarray]] = []
+        self.trails: list[list[Shaped[np.ndarray, " ..."]]] = []
         self.held, self.warned = 0, False
         self.frames: list[tuple[float, int]] = []
 
@@ -142,7 +143,9 @@ class StepRecorder:
         )
 
 
-def _past_steps(start: State, stage: np.ndarray, h: np.ndarray) -> np.ndarray:
+def _past_steps(
+    start: State, stage: Int[np.ndarray, " steps"], h: Float[np.ndarray, " steps"]
+) -> Float[np.ndarray, "steps points"]:
     """Return the sizes (k, 6) in s of the steps before each step, newest first, as in the run's history."""
     past, before = np.array(start.history.steps), int(start.stage)
     rows = np.empty((len(h), HISTORY))
@@ -156,7 +159,7 @@ def _past_steps(start: State, stage: np.ndarray, h: np.ndarray) -> np.ndarray:
     return rows
 
 
-def _in_stretches(part: np.ndarray) -> np.ndarray:
+def _in_stretches(part: Shaped[np.ndarray, " entries *axes"]) -> Shaped[np.ndarray, "stretches steps *axes"]:
     """Reshape an array (k, ...) to stretches (g, s, ...), padded with its last row; g is a power of two."""
     size = STRETCH * doubled(FEWEST, -(-len(part) // STRETCH))
     rest = np.broadcast_to(part[-1], (size - len(part), *part.shape[1:]))

@@ -1,12 +1,14 @@
 """`replay`: repeat recorded steps as one function with forward and reverse derivatives."""
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Float
 
+from jaxcrumple._jax.arrays import Count, Flag, NodeVectors, Scalar
 from jaxcrumple._jax.door import door, own_modes
 from jaxcrumple.replay.contacts import StretchLists, in_step, in_stretch
 from jaxcrumple.replay.record import Record, Steps
@@ -19,6 +21,8 @@ from jaxcrumple.state import EXPLICIT, HISTORY, IMPLICIT, State, check_state
 # Relative difference that rounding causes between two builds of the same scene.
 SAME = 1e-9
 
+Result = TypeVar("Result")
+
 
 class Replay(NamedTuple):
     """Hold frames at times `t` (f,) s.
@@ -26,11 +30,11 @@ class Replay(NamedTuple):
     Positions `x` (f, n, 3) m, velocities `v` (f, n, 3) m/s, rest curvatures `p` (f, h) or None; `error`: over
     all steps, the largest last Newton update in units of the sheet's size."""
 
-    t: Array
-    x: Array
-    v: Array
-    p: Array | None
-    error: Array
+    t: Float[Array, " frames"]
+    x: Float[Array, "frames nodes 3"]
+    v: Float[Array, "frames nodes 3"]
+    p: Float[Array, "frames hinges"] | None
+    error: Scalar
 
 
 @door
@@ -83,7 +87,7 @@ def replay(
     return Replay(record.t, frames.x, frames.v, frames.p, error)
 
 
-def _differ(run: tuple[Scene, Point], record: Record) -> Array:
+def _differ(run: tuple[Scene, Point], record: Record) -> Flag:
     """Return whether scene and start have numbers that differ from the recorded ones."""
     scene, here = run
     start = record.start
@@ -95,7 +99,7 @@ def _differ(run: tuple[Scene, Point], record: Record) -> Array:
     return jnp.any(jnp.stack(differ))
 
 
-def _numbers(tree: Any) -> list[Array]:
+def _numbers(tree: Any) -> list[Float[Array, " ..."]]:
     numbers = jax.tree.leaves(eqx.filter(tree, eqx.is_inexact_array))
     return [jax.lax.stop_gradient(a) for a in numbers]
 
@@ -108,14 +112,16 @@ class _Way(NamedTuple):
 
 
 @eqx.filter_custom_jvp
-def _frames(scene: Scene, past: Point, record: Record, way: _Way) -> tuple[Point, Array]:
+def _frames(scene: Scene, past: Point, record: Record, way: _Way) -> tuple[Point, Scalar]:
     _, frames, error = _forward(scene, past, record, way)
     return frames, error
 
 
 @_frames.def_jvp
 @own_modes()
-def _frames_jvp(primals, tangents):
+def _frames_jvp(
+    primals: tuple[Scene, Point, Record, _Way], tangents: tuple[Any, ...]
+) -> tuple[tuple[Point, Scalar], tuple[Point, Scalar]]:
     scene, past, record, way = primals
     by_scene, by_past, _, _ = tangents
     kept, frames, error = _forward(scene, past, record, way)
@@ -131,13 +137,15 @@ class _Kept(NamedTuple):
 
     rows: Point | None
     past: Point | None
-    x: Array | None
+    x: Float[Array, "*stretches steps nodes 3"] | None
 
 
-def _forward(scene: Scene, past: Point, record: Record, way: _Way) -> tuple[_Kept, Point, Array]:
+def _forward(scene: Scene, past: Point, record: Record, way: _Way) -> tuple[_Kept, Point, Scalar]:
     """Compute the points of each stretch, the frames, and the largest error."""
 
-    def stretch(carry, part: tuple[Steps, StretchLists | None]):
+    def stretch(
+        carry: tuple[Point, Point, Scalar], part: tuple[Steps, StretchLists | None]
+    ) -> tuple[tuple[Point, Point, Scalar], _Kept]:
         past, frames, error = carry
         steps, lists = part
         here = in_stretch(scene, lists)
@@ -157,10 +165,12 @@ def _forward(scene: Scene, past: Point, record: Record, way: _Way) -> tuple[_Kep
     return kept, frames, error
 
 
-def _solved(scene: Scene, past: Point, steps: Steps, record: Record) -> tuple[Point, Array]:
+def _solved(scene: Scene, past: Point, steps: Steps, record: Record) -> tuple[Point, Scalar]:
     """Solve the steps of a stretch; return the points (s, ...) at their ends, and the largest error."""
 
-    def advance(carry, step: Steps):
+    def advance(
+        carry: tuple[Point, Scalar, Factor | None], step: Steps
+    ) -> tuple[tuple[Point, Scalar, Factor | None], Point]:
         past, error, factor = carry
         new, left, factor = jax.lax.cond(
             step.valid,
@@ -174,10 +184,12 @@ def _solved(scene: Scene, past: Point, steps: Steps, record: Record) -> tuple[Po
     return points, error
 
 
-def _taken(scene: Scene, past: Point, steps: Steps, x: Array, record: Record) -> Point:
+def _taken(
+    scene: Scene, past: Point, steps: Steps, x: Float[Array, "steps nodes 3"], record: Record
+) -> Point:
     """Compute the points (s, ...) at the ends of a stretch's steps from their positions `x` (s, n, 3)."""
 
-    def advance(past: Point, part: tuple[Steps, Array]):
+    def advance(past: Point, part: tuple[Steps, NodeVectors]) -> tuple[Point, Point]:
         step, x = part
         new = jax.lax.cond(step.valid, lambda: _point(scene, past, step, x, record), lambda: newest(past))
         return _pushed(past, new), new
@@ -198,7 +210,9 @@ def _tangent(scene: Scene, by_scene: Scene, past: Point, by_past: Any, record: R
     )
 
     @jax.checkpoint
-    def stretch(carry, part: tuple[Steps, StretchLists | None, _Kept]):
+    def stretch(
+        carry: tuple[Point, Point], part: tuple[Steps, StretchLists | None, _Kept]
+    ) -> tuple[tuple[Point, Point], None]:
         moved, frames = carry
         steps, lists, kept = part
         listed = in_stretch(scene, lists)
@@ -208,7 +222,7 @@ def _tangent(scene: Scene, by_scene: Scene, past: Point, by_past: Any, record: R
             rows = _rows(kept.past, _taken(listed, kept.past, steps, kept.x, record))
 
         @jax.checkpoint
-        def advance(moved: Point, part: tuple[Array, Steps]):
+        def advance(moved: Point, part: tuple[Count, Steps]) -> tuple[Point, Point]:
             at, step = part
             seen = jax.tree.map(lambda a: jax.lax.dynamic_slice_in_dim(a, at, HISTORY + 1)[::-1], rows)
             past, new = jax.tree.map(lambda a: a[1:], seen), newest(seen)
@@ -246,7 +260,9 @@ def _first_frames(point: Point, record: Record) -> Point:
 def _filled(frames: Point, steps: Steps, points: Point) -> Point:
     """Insert in the frames those of `points` (s, ...) whose steps end at a frame."""
 
-    def fill(frames: Array, points: Array) -> Array:
+    def fill(
+        frames: Float[Array, " frames *axes"], points: Float[Array, " steps *axes"]
+    ) -> Float[Array, " frames *axes"]:
         ends = jnp.arange(len(frames))[:, None] == steps.frame
         mine = jnp.any(ends, axis=1).reshape(-1, *[1] * (points.ndim - 1))
         return jnp.where(mine, points[jnp.argmax(ends, axis=1)], frames)
@@ -261,7 +277,9 @@ def _implicit(step: Steps, record: Record) -> RecordedStep:
     )
 
 
-def _by_stage(step: Steps, record: Record, implicit, explicit):
+def _by_stage(
+    step: Steps, record: Record, implicit: Callable[[], Result], explicit: Callable[[], Result]
+) -> Result:
     """Call the function of the step's stage; stages without steps in the run are not compiled."""
     if EXPLICIT not in record.stages:
         return implicit()
@@ -272,16 +290,16 @@ def _by_stage(step: Steps, record: Record, implicit, explicit):
 
 def _step(
     scene: Scene, past: Point, step: Steps, record: Record, factor: Factor | None
-) -> tuple[Point, Array, Factor | None]:
+) -> tuple[Point, Scalar, Factor | None]:
     """Return the point after a step, the error of its solution, and the last factor."""
     old = newest(past)
     scene = in_step(scene, old.x, step.x, step.stage == EXPLICIT)
 
-    def implicit() -> tuple[Point, Array, Factor | None]:
+    def implicit() -> tuple[Point, Scalar, Factor | None]:
         assert record.linear is not None and factor is not None
         return solved(scene, _implicit(step, record), past, step.x, record.linear, factor)
 
-    def explicit_step() -> tuple[Point, Array, Factor | None]:
+    def explicit_step() -> tuple[Point, Scalar, Factor | None]:
         assert record.explicit is not None
         point = Point(*record.explicit.advance(scene, step.t, step.h, *old))
         finite = jnp.isfinite(jnp.sum(point.x)) & jnp.isfinite(jnp.sum(point.v))
@@ -290,7 +308,7 @@ def _step(
     return _by_stage(step, record, implicit, explicit_step)
 
 
-def _point(scene: Scene, past: Point, step: Steps, x: Array, record: Record) -> Point:
+def _point(scene: Scene, past: Point, step: Steps, x: NodeVectors, record: Record) -> Point:
     """Return the point after a step that ends at positions `x` (n, 3)."""
     old = newest(past)
 

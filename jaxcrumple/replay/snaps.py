@@ -1,6 +1,7 @@
 """The snaps of a run: times of accelerations so large that inertia determines the motion."""
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxcrumple.scene import Scene
 
@@ -11,7 +12,9 @@ HIGH, REST = 1e-2, 10.0
 MOST = 64
 
 
-def snaps(scene: Scene, x: np.ndarray, t: np.ndarray) -> np.ndarray:
+def snaps(
+    scene: Scene, x: Float[np.ndarray, "points nodes 3"], t: Float[np.ndarray, " points"]
+) -> Float[np.ndarray, " 64"]:
     """Return the times (64,) in s at which the first 64 snaps begin, padded with infinity.
 
     **Arguments:** `x` (k, n, 3): positions in m at the ends of accepted steps; `t` (k,): their times in s.

@@ -6,8 +6,9 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Float
 
+from jaxcrumple._jax.arrays import Count, Flag, NodeVectors, Scalar
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.implicit.bdf import Formula
 from jaxcrumple.solvers.implicit.newton import FORCING
@@ -26,9 +27,9 @@ LINEAR = 1e-12
 class Point(NamedTuple):
     """Hold positions `x` m and velocities `v` m/s (n, 3), and rest curvatures `p` (h,) or None."""
 
-    x: Array
-    v: Array
-    p: Array | None
+    x: Float[Array, "*points nodes 3"]
+    v: Float[Array, "*points nodes 3"]
+    p: Float[Array, "*points hinges"] | None
 
 
 class RecordedStep(NamedTuple):
@@ -38,19 +39,19 @@ class RecordedStep(NamedTuple):
     """
 
     formula: Formula
-    t: Array
-    h: Array
+    t: Scalar
+    h: Scalar
 
-    def unknown(self, scene: Scene, old: Array, new: Array) -> Array:
+    def unknown(self, scene: Scene, old: NodeVectors, new: NodeVectors) -> NodeVectors:
         """Return the unknown (n, 3) of the formula for positions `old` and `new`; supports are satisfied."""
         return self._supported(scene, old, self.formula.theta * new + (1.0 - self.formula.theta) * old)
 
-    def residual(self, scene: Scene, past: Point, unknown: Array) -> Array:
+    def residual(self, scene: Scene, past: Point, unknown: NodeVectors) -> NodeVectors:
         """Compute the residual (n, 3) in N; it is zero for components that supports prescribe."""
         x = self._supported(scene, newest(past).x, unknown)
         return residual(scene, self._equations(scene, past), x)[0]
 
-    def point(self, scene: Scene, past: Point, unknown: Array) -> Point:
+    def point(self, scene: Scene, past: Point, unknown: NodeVectors) -> Point:
         """Return the point after the step."""
         old, step = newest(past), self._equations(scene, past)
         x = self._supported(scene, old.x, unknown)
@@ -58,14 +59,14 @@ class RecordedStep(NamedTuple):
         mean = Point(x, step.velocity(x), p)
         return jax.tree.map(lambda mean, old: old + (mean - old) / self.formula.theta, mean, old)
 
-    def tangent(self, scene: Scene, past: Point, unknown: Array) -> Array:
+    def tangent(self, scene: Scene, past: Point, unknown: NodeVectors) -> Float[Array, " entries"]:
         """Compute the values (size,) of the residual's tangent."""
         return linearize(scene, self._equations(scene, past), unknown)[1]
 
     def _equations(self, scene: Scene, past: Point) -> Equations:
         return self.formula.equations(scene, past, self.t, self.h)
 
-    def _supported(self, scene: Scene, old: Array, x: Array) -> Array:
+    def _supported(self, scene: Scene, old: NodeVectors, x: NodeVectors) -> NodeVectors:
         if scene.prescribed is None:
             return x
         theta, prescribed, end = self.formula.theta, scene.prescribed, self.t + self.h
@@ -79,18 +80,23 @@ def newest(past: Point) -> Point:
 
 
 class _Carry(NamedTuple):
-    x: Array
+    x: NodeVectors
     factor: Factor
-    update: Array
-    own: Array
-    renew: Array
-    settled: Array
-    iterations: Array
+    update: Scalar
+    own: Flag
+    renew: Flag
+    settled: Flag
+    iterations: Count
 
 
 def solved(
-    scene: Scene, step: RecordedStep, past: Point, guess: Array, linear: AbstractLinearSolver, last: Factor
-) -> tuple[Point, Array, Factor]:
+    scene: Scene,
+    step: RecordedStep,
+    past: Point,
+    guess: NodeVectors,
+    linear: AbstractLinearSolver,
+    last: Factor,
+) -> tuple[Point, Scalar, Factor]:
     """Solve a step by Newton's iteration from the positions `guess` (n, 3).
 
     The iteration starts with the factor `last` of the previous step, which suffices for a good guess.
@@ -122,7 +128,7 @@ def solved(
             carry.iterations + 1,
         )
 
-    def unfinished(carry: _Carry) -> Array:
+    def unfinished(carry: _Carry) -> Flag:
         return ~carry.settled & (carry.iterations < MOST_ITERATIONS)
 
     no, start = jnp.asarray(False), step.unknown(scene, newest(past).x, guess)
@@ -138,7 +144,7 @@ def changed(
     scenes: tuple[Scene, Scene],
     step: RecordedStep,
     pasts: tuple[Point, Point],
-    new: Array,
+    new: NodeVectors,
     linear: AbstractLinearSolver,
     start: Factor,
 ) -> Point:
@@ -152,14 +158,14 @@ def changed(
     unknown = step.unknown(listed, newest(past).x, new)
     values = step.tangent(listed, past, unknown)
 
-    def residual(scene: Scene, past: Point) -> Array:
+    def residual(scene: Scene, past: Point) -> NodeVectors:
         return step.residual(here(scene), past, unknown)
 
     force = eqx.filter_jvp(residual, (scene, past), (by_scene, by_past))[1]
     moved = solve_once(linear, listed.sparsity, start, values, -force.reshape(-1), LINEAR)
     changes = (by_scene, by_past, moved.reshape(unknown.shape))
 
-    def point(scene: Scene, past: Point, unknown: Array) -> Point:
+    def point(scene: Scene, past: Point, unknown: NodeVectors) -> Point:
         return step.point(here(scene), past, unknown)
 
     return eqx.filter_jvp(point, (scene, past, unknown), changes)[1]

@@ -6,8 +6,9 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Float
 
+from jaxcrumple._jax.arrays import HingeValues, NodeVectors, Scalar
 from jaxcrumple.contact import energy as contact
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.contact.reallocate import batch_with_contacts
@@ -35,7 +36,7 @@ class _Term(NamedTuple):
 
     name: str
     energy: float | None
-    force: np.ndarray
+    force: Float[np.ndarray, "nodes 3"]
 
 
 def start_balance(scene: Scene, state: State) -> Balance:
@@ -69,7 +70,9 @@ def _terms(scene: Scene, state: State) -> list[_Term]:
 
 
 @eqx.filter_jit
-def _evaluated(scene: Scene, x: Array, p: Array | None, t: Array) -> dict[str, tuple[Array, Array]]:
+def _evaluated(
+    scene: Scene, x: NodeVectors, p: HingeValues | None, t: Scalar
+) -> dict[str, tuple[Scalar, NodeVectors]]:
     """Return energies in J and nodal forces (n, 3) in N by name of the term."""
     hinges, rest = scene.bending.hinges(x), scene.rest_curvature_of(p)
     terms = {
@@ -119,7 +122,7 @@ def _balance(scene: Scene, state: State, terms: list[_Term]) -> Balance:
     return Balance(False, [f"largest net force on a free node: {left:.3g} N, at node {node}", *lines])
 
 
-def _largest(force: np.ndarray) -> tuple[int, float]:
+def _largest(force: Float[np.ndarray, "nodes 3"]) -> tuple[int, float]:
     """Return the node with the largest of the forces (n, 3), and its magnitude in N."""
     size = np.linalg.norm(force, axis=1)
     return int(np.argmax(size)), float(size.max())

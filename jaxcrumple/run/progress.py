@@ -38,7 +38,7 @@ class ConsoleProgress:
             self._say("compiling")
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         self.bar.stop()
 
     def frame(self, index: int, state: State) -> None:

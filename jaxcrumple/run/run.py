@@ -20,7 +20,8 @@ from jaxcrumple.io.rundir import FILM, PARTIAL, RUN, is_run, make_folder, read_c
 from jaxcrumple.io.sketch import SAME, first_difference, sketch_scene
 from jaxcrumple.io.verify import check_sound, damages, go_back
 from jaxcrumple.mesh.mesh import Mesh
-from jaxcrumple.run.config import PYTHON, ConfigError, RunConfig, SolverOptions, config_of
+from jaxcrumple.options.validation import ConfigError
+from jaxcrumple.run.config import PYTHON, RunConfig, SolverOptions, config_of
 from jaxcrumple.run.estimate import require_config
 from jaxcrumple.run.summary import physics
 from jaxcrumple.scenes import Setup

@@ -8,7 +8,8 @@ import tomlkit
 
 from jaxcrumple.io.atomic import write_bytes
 from jaxcrumple.options.toml import line_of, read_toml
-from jaxcrumple.run.config import ConfigError, RunConfig, complete, pairs, with_settings
+from jaxcrumple.options.validation import ConfigError
+from jaxcrumple.run.config import RunConfig, complete, pairs, with_settings
 
 
 def read_scene_file(

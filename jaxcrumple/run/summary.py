@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 
 from jaxcrumple.contact.energy import closest_sites
 from jaxcrumple.measure.creases import crease_length, folded_hinges
@@ -52,7 +53,7 @@ def figures(setup: Setup, state: State) -> dict[str, Any]:
     }
 
 
-def _contacts(mesh: Mesh, scene: Scene, x: np.ndarray) -> dict[str, Any]:
+def _contacts(mesh: Mesh, scene: Scene, x: Float[np.ndarray, "nodes 3"]) -> dict[str, Any]:
     """Count intersections and contacts; find the smallest distance in m of two sites in contact, or None."""
     found: dict[str, Any] = {"intersections": count_intersections(mesh, x), "min_gap": None, "contacts": 0}
     if scene.contact is None:

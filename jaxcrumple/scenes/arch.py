@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Int
 
 from jaxcrumple._jax.door import door
 from jaxcrumple.material.material import Material
@@ -71,7 +72,7 @@ def arch(
     return Setup(mesh, scene, jnp.asarray(mesh.vertices), material=made_of)
 
 
-def strip(nodes: int, length: float, width: float) -> tuple[Mesh, np.ndarray]:
+def strip(nodes: int, length: float, width: float) -> tuple[Mesh, Int[np.ndarray, " nodes"]]:
     """Return a flat lattice strip along x with rows across it, and the row (n,) of each node, from 0.
 
     The number of rows is odd, so that one row is at midspan. The outermost rows are half a row distance
@@ -87,7 +88,9 @@ def strip(nodes: int, length: float, width: float) -> tuple[Mesh, np.ndarray]:
     return lattice.with_rest_shape(np.column_stack([along, -lattice.vertices[:, 0]])), row
 
 
-def on_arc(along: np.ndarray, across: np.ndarray, length: float, rise: float) -> np.ndarray:
+def on_arc(
+    along: Float[np.ndarray, " nodes"], across: Float[np.ndarray, " nodes"], length: float, rise: float
+) -> Float[np.ndarray, "nodes 3"]:
     """Bend a flat strip to a circle with sagitta `rise` over the chord `length`; return points (n, 3) in m.
 
     The ends of the chord are at x = -length/2 and length/2, z = 0. Points beyond them continue along the

@@ -12,11 +12,12 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Array, Float
 
+from jaxcrumple._jax.arrays import Scalar
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.memory import require
-from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.model.loads import ElementEnergy
 from jaxcrumple.model.walls import AbstractShape, Cylinder, PiecewiseLinear, Plane, of_time
 from jaxcrumple.scenes.setup import Setup
@@ -51,7 +52,7 @@ class AxialTimes(NamedTuple):
         """Duration of a whole cycle in s."""
         return sum(self)
 
-    def ends(self, cycles: int) -> FloatArray:
+    def ends(self, cycles: int) -> Float[np.ndarray, "cycles 6"]:
         """Return the times (cycles, 6) in s at which the parts of each cycle end."""
         return self.cycle * np.arange(cycles)[:, None] + np.cumsum(self)
 
@@ -152,13 +153,15 @@ def _check_height(height: float, size: float) -> None:
         raise ValueError(f"height = {height} m must be less than the size {size} m of the sheet.")
 
 
-def curled(vertices: FloatArray, radius: float) -> FloatArray:
+def curled(vertices: Float[np.ndarray, "nodes 3"], radius: float) -> Float[np.ndarray, "nodes 3"]:
     """Roll a flat sheet upwards about the y axis to a `radius` in m; return points (n, 3) in m."""
     turned = np.array([1.0, 1.0, -1.0])
     return turned * wrapped(turned * vertices, radius, along="y")
 
 
-def _walls(wide: float, radius: float, height: float, thin: float, ends: FloatArray) -> list[AbstractShape]:
+def _walls(
+    wide: float, radius: float, height: float, thin: float, ends: Float[np.ndarray, "cycles 6"]
+) -> list[AbstractShape]:
     """Build the cylinder, the two planes that compress along z, and the two planes that flatten along y.
 
     When open, all walls are at the distance `wide` in m. When closed, they leave a `radius`, a `height` and
@@ -181,7 +184,7 @@ def _piecewise(moments: list[float], values: list[float]) -> PiecewiseLinear:
     return PiecewiseLinear(jnp.array(moments), jnp.array(values))
 
 
-def _pull(mesh: Mesh, x: FloatArray, times: AxialTimes, cycles: int) -> ElementEnergy:
+def _pull(mesh: Mesh, x: Float[np.ndarray, "nodes 3"], times: AxialTimes, cycles: int) -> ElementEnergy:
     """Build springs from the nodes of the edge to their positions `x` (n, 3) in m in the flat sheet.
 
     The stiffness grows during `unfold`, is constant during `flatten`, and is zero otherwise.
@@ -192,7 +195,11 @@ def _pull(mesh: Mesh, x: FloatArray, times: AxialTimes, cycles: int) -> ElementE
     return ElementEnergy(edge[:, None], _spring, (jnp.asarray(x)[edge], begin, lasts))
 
 
-def _spring(x: Array, parameters: tuple[Array, Array, Array], t: Array) -> Array:
+def _spring(
+    x: Float[Array, "1 3"],
+    parameters: tuple[Float[Array, " 3"], Float[Array, " cycles"], Float[Array, " 2"]],
+    t: Scalar,
+) -> Scalar:
     """Return the energy in J of one spring.
 
     `parameters`: its anchor (3,) in m, the start times (cycles,) in s, and the durations (2,) in s of growth

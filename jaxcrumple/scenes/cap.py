@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from jaxcrumple._jax.door import door
 from jaxcrumple.material.material import Material
@@ -68,13 +69,15 @@ def cap(
     return Setup(mesh, scene, jnp.asarray(mesh.vertices), material=made_of)
 
 
-def on_sphere(points: np.ndarray, radius: float, rise: float) -> np.ndarray:
+def on_sphere(
+    points: Float[np.ndarray, "nodes 2"], radius: float, rise: float
+) -> Float[np.ndarray, "nodes 3"]:
     """Lift `points` (n, 2) in m to the sphere through the circle of `radius` and the apex: points (n, 3)."""
     sphere = (radius**2 + rise**2) / (2 * rise)
     height = np.sqrt(sphere**2 - np.sum(points**2, axis=1)) - (sphere - rise)
     return np.column_stack([points, height])
 
 
-def paraboloid(points: np.ndarray, patch: float) -> np.ndarray:
+def paraboloid(points: Float[np.ndarray, "nodes 2"], patch: float) -> Float[np.ndarray, " nodes"]:
     """Return the profile (n,) of a paraboloid at points (n, 2): 1 at the origin, 0 beyond `patch`."""
     return np.maximum(1.0 - np.sum(points**2, axis=1) / patch**2, 0.0)

@@ -4,18 +4,18 @@ References: Mellado, Cheng & Concha, Phys. Rev. E 83, 036607 (2011), and Boué e
 166104 (2006).
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Array, Float
 
+from jaxcrumple._jax.arrays import NodeVectors, Scalar
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float
 from jaxcrumple.model.loads import AbstractMotion, Prescribed
-from jaxcrumple.model.walls import HoledPlate, PiecewiseLinear, of_time
+from jaxcrumple.model.walls import HoledPlate, OfTime, PiecewiseLinear, of_time
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions
 from jaxcrumple.scenes.snap import check_positive
@@ -24,11 +24,11 @@ from jaxcrumple.scenes.snap import check_positive
 class Along(AbstractMotion):
     """Motion of all nodes from `position` (n, 3) in m along `direction` (3,) by `distance(t)` in m."""
 
-    position: Array = eqx.field(converter=as_float)
-    direction: Array = eqx.field(converter=as_float)
-    distance: Callable[[Array], Array]
+    position: NodeVectors = eqx.field(converter=as_float)
+    direction: Float[Array, " 3"] = eqx.field(converter=as_float)
+    distance: OfTime
 
-    def __call__(self, t: Array) -> Array:
+    def __call__(self, t: Scalar | float) -> NodeVectors:
         """Return the positions (n, 3) in m at time `t`."""
         return self.position + self.distance(t) * self.direction
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, Float
 
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float
@@ -15,7 +16,7 @@ from jaxcrumple.mesh.files import read_surface
 from jaxcrumple.mesh.files.sheet import unit_length
 from jaxcrumple.mesh.generate import disc, rectangle
 from jaxcrumple.mesh.isotropy import warn_of_anisotropy
-from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.mesh.remesh import remeshed
 from jaxcrumple.model.loads import LinearMotion, Prescribed
 from jaxcrumple.options.validation import validated
@@ -90,7 +91,7 @@ def _of_file(sheet: FileSheet, nodes: int, seed: int) -> Mesh:
     return mesh
 
 
-def bent(points: FloatArray, bend: Bend | None) -> FloatArray:
+def bent(points: Float[np.ndarray, "nodes 2"], bend: Bend | None) -> Float[np.ndarray, "nodes 3"]:
     """Map flat points (n, 2) in m to points (n, 3) on a sphere or a cylinder below the plane z = 0.
 
     The map keeps distances from the origin (sphere) or from the line through it along the axis (cylinder).
@@ -124,7 +125,7 @@ def _varied(material: Material, sheet: Square | Disc | FileSheet, mesh: Mesh) ->
     return replace(material, thickness=thickness, yield_curvature=curvature)
 
 
-def tapered(x: FloatArray, taper: Taper) -> FloatArray:
+def tapered(x: Float[np.ndarray, "nodes 3"], taper: Taper) -> Float[np.ndarray, " nodes"]:
     """Return the thickness (n,) in m at `x` (n, 3) in m, linear along the direction of `taper`."""
     along = x @ np.asarray(unit_vector(taper.direction))
     if np.ptp(along) == 0:
@@ -133,7 +134,7 @@ def tapered(x: FloatArray, taper: Taper) -> FloatArray:
     return taper.between[0] + share * (taper.between[1] - taper.between[0])
 
 
-def _point_data(path: str, name: str) -> FloatArray:
+def _point_data(path: str, name: str) -> Float[np.ndarray, " points"]:
     surface = read_surface(path)
     data = {key: values for key, values in surface.data.items() if len(values) == len(surface.points)}
     if name not in data or np.ndim(data[name]) != 1:
@@ -158,7 +159,7 @@ def _supports(supports: Sequence[Support], mesh: Mesh) -> Prescribed | None:
     return Prescribed(mask, LinearMotion(jnp.asarray(mesh.vertices), as_float(velocity)), as_float(until))
 
 
-def _inside(nodes: str | Box, mesh: Mesh) -> np.ndarray:
+def _inside(nodes: str | Box, mesh: Mesh) -> Bool[np.ndarray, " nodes"]:
     """Return a mask (n,) of the nodes that a support holds."""
     if isinstance(nodes, Box):
         return np.all((mesh.vertices >= nodes.lower) & (mesh.vertices <= nodes.upper), axis=1)

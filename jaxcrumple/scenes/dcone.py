@@ -9,11 +9,11 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float
-from jaxcrumple.mesh.mesh import FloatArray
 from jaxcrumple.model.loads import LinearMotion, Prescribed
 from jaxcrumple.model.walls import Cone, PiecewiseLinear
 from jaxcrumple.scenes.setup import Setup
@@ -63,7 +63,7 @@ def dcone_time(radius: float, slope: float, speed: float) -> float:
 
 
 @door
-def free_sector(setup: Setup, x: FloatArray, t: float) -> float:
+def free_sector(setup: Setup, x: Float[np.ndarray, "nodes 3"], t: float) -> float:
     """Return the angle in rad of the sector in which a d-cone is off its cone.
 
     `x` (n, 3): positions in m; `t`: time in s. The relative height is the height over the cone divided by the
@@ -82,11 +82,11 @@ def free_sector(setup: Setup, x: FloatArray, t: float) -> float:
     return sum(_end(sign * from_middle, lifted) for sign in (-1.0, 1.0))
 
 
-def _end(angle: FloatArray, lifted: FloatArray) -> float:
+def _end(angle: Float[np.ndarray, " points"], lifted: Float[np.ndarray, " points"]) -> float:
     """Return the angle in rad at which one side of the sector ends."""
     used = (angle > 0) & (lifted < 0.3 * lifted.max())
 
-    def misfit(guess: FloatArray) -> FloatArray:
+    def misfit(guess: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " used"]:
         end, steep, bend, floor = guess
         inside = np.maximum(end - angle[used], 0.0)
         return inside**3 * (steep + bend * inside) + floor - lifted[used]

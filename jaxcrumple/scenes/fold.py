@@ -6,8 +6,9 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Array, Float, Int
 
+from jaxcrumple._jax.arrays import NodeVectors, Scalar
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float
 from jaxcrumple.geometry.hinge import cross, gather, sub
@@ -63,11 +64,11 @@ class Closing(AbstractMotion):
     **Arguments:** `position` (n, 3) in m at t = 0; `height` of the line in m; `time`: duration in s.
     """
 
-    position: Array = eqx.field(converter=as_float)
-    height: Array = eqx.field(converter=as_float)
-    time: Array = eqx.field(converter=as_float)
+    position: NodeVectors = eqx.field(converter=as_float)
+    height: Scalar = eqx.field(converter=as_float)
+    time: Scalar = eqx.field(converter=as_float)
 
-    def __call__(self, t: Array) -> Array:
+    def __call__(self, t: Scalar | float) -> NodeVectors:
         """Return the positions (n, 3) in m at time `t`."""
         angle = 0.5 * jnp.pi * (1.0 - jnp.cos(jnp.pi * jnp.clip(t / self.time, 0.0, 1.0)))
         x, y, z = self.position.T
@@ -137,7 +138,7 @@ def plates(size: float, gap: float, times: FoldTimes) -> list[Plane]:
 
 
 @door
-def fold_angle(mesh: Mesh, x: Array) -> Array:
+def fold_angle(mesh: Mesh, x: NodeVectors) -> Scalar:
     """Return the angle in rad between the halves of a folded sheet at `x` (n, 3) in m: pi for a flat sheet.
 
     The angle is that between the mean normals of both halves, away from the fold, and is smooth in `x`.
@@ -149,7 +150,7 @@ def fold_angle(mesh: Mesh, x: Array) -> Array:
     return jnp.pi - jnp.arctan2(turned, one @ two)
 
 
-def _normal(x: Array, faces: np.ndarray) -> Array:
+def _normal(x: NodeVectors, faces: Int[np.ndarray, "faces 3"]) -> Float[Array, " 3"]:
     """Return the area-weighted sum (3,) of triangle normals."""
     a, b, c = gather(x, jnp.asarray(faces))
     return jnp.stack([jnp.sum(part) for part in cross(sub(b, a), sub(c, a))])

@@ -10,13 +10,13 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
+from jaxcrumple._jax.arrays import NodeVectors, NodeVectorsLike, Scalar
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float
 from jaxcrumple.measure.creases import mean_curvature
 from jaxcrumple.mesh.generate import rectangle
-from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.model.loads import AbstractMotion, Prescribed
 from jaxcrumple.model.walls import PiecewiseLinear
 from jaxcrumple.scenes.setup import Setup
@@ -35,10 +35,10 @@ class BendingMotion(AbstractMotion):
     `position` (n, 3): rest positions in m.
     """
 
-    position: Array = eqx.field(converter=as_float)
+    position: NodeVectors = eqx.field(converter=as_float)
     turn: PiecewiseLinear
 
-    def __call__(self, t: Array) -> Array:
+    def __call__(self, t: Scalar | float) -> NodeVectors:
         """Return the positions (n, 3) in m at time `t`."""
         x, y, z = self.position.T
         half = 0.5 * self.turn(t)
@@ -82,7 +82,7 @@ def ridge(
 
 
 @door
-def ridge_curvature(mesh: Mesh, x: FloatArray) -> float:
+def ridge_curvature(mesh: Mesh, x: NodeVectorsLike) -> float:
     """Return the curvature in 1/m across the middle of a ridge along y at positions `x` (n, 3) in m.
 
     It is the largest mean curvature, averaged over narrow strips along the middle part of the ridge. The

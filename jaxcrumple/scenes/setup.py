@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import numpy as np
-from jax import Array
+from jaxtyping import Array, Float
 
+from jaxcrumple._jax.arrays import NodeVectors, Scalar
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import is_known
 from jaxcrumple.contact.parameters import SelfContact
@@ -41,7 +42,7 @@ class Setup(NamedTuple):
 
     mesh: Mesh
     scene: Scene
-    x: Array
+    x: NodeVectors
     contact: SelfContact | None = None
     material: Material | None = None
     t_end: float | None = None
@@ -124,7 +125,7 @@ def _part(scene: Scene, name: str) -> Any:
     return found
 
 
-def _law(wall: Wall) -> tuple[type, Array, Array]:
+def _law(wall: Wall) -> tuple[type, Float[Array, " ..."], Scalar]:
     """Return the parameters of a wall that follow from the material."""
     return type(wall), wall.stiffness, wall.range
 

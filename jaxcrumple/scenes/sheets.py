@@ -5,12 +5,13 @@ from dataclasses import dataclass, field, replace
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from jaxcrumple._jax.memory import require
 from jaxcrumple.contact.parameters import Potential, SelfContact
 from jaxcrumple.material.material import Material
 from jaxcrumple.mesh.generate import disc, rectangle
-from jaxcrumple.mesh.mesh import FloatArray, Mesh
+from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.model.loads import ElementEnergy, Prescribed
 from jaxcrumple.model.walls import AbstractShape
 from jaxcrumple.scene import sheet
@@ -80,7 +81,7 @@ class SheetOptions:
         mesh: Mesh,
         walls: Sequence[AbstractShape],
         *,
-        x: FloatArray | None = None,
+        x: Float[np.ndarray, "nodes 3"] | None = None,
         prescribed: Prescribed | None = None,
         extra: Sequence[ElementEnergy] = (),
     ) -> Setup:
@@ -100,7 +101,9 @@ class SheetOptions:
         return Setup(mesh, scene, jnp.asarray(mesh.vertices if x is None else x), contact, self.material)
 
 
-def smooth_imperfection(points: np.ndarray, size: float, amplitude: float, seed: int) -> np.ndarray:
+def smooth_imperfection(
+    points: Float[np.ndarray, "nodes 2"], size: float, amplitude: float, seed: int
+) -> Float[np.ndarray, " nodes"]:
     """Return a smooth random height (n,) in m at `points` (n, 2) within a square of edge `size` in m.
 
     The largest absolute value is `amplitude` in m. The wavelengths are at least 2 cm; a smaller sheet has
@@ -125,7 +128,9 @@ def smooth_imperfection(points: np.ndarray, size: float, amplitude: float, seed:
     return amplitude * height / max(np.max(np.abs(height)), np.finfo(float).tiny)
 
 
-def wrapped(vertices: FloatArray, radius: float, *, along: str | None = None) -> FloatArray:
+def wrapped(
+    vertices: Float[np.ndarray, "nodes 3"], radius: float, *, along: str | None = None
+) -> Float[np.ndarray, "nodes 3"]:
     """Wrap a flat sheet over a ball of `radius` in m below it, or over a cylinder `along` "x" or "y".
 
     Return points (n, 3) in m. The map keeps heights over the sheet and distances from the origin (ball) or
@@ -140,6 +145,6 @@ def wrapped(vertices: FloatArray, radius: float, *, along: str | None = None) ->
     return np.column_stack([sides, (radius + height) * np.cos(angle) - radius])
 
 
-def upright(points: FloatArray) -> FloatArray:
+def upright(points: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, "nodes 3"]:
     """Rotate points (n, 3) of a sheet in the x-y plane into the x-z plane: y becomes z, and z becomes -y."""
     return points[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0])

@@ -6,8 +6,9 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
+from jaxtyping import Bool, Float
 
+from jaxcrumple._jax.arrays import ScalarLike
 from jaxcrumple._jax.door import door
 from jaxcrumple.material.material import Material
 from jaxcrumple.model.loads import LinearMotion, Prescribed
@@ -85,7 +86,7 @@ def relaxed_drop(
     return energy_drop(scene, state, beyond, force_tolerance=force_tolerance)
 
 
-def _rest(scene: Scene, state: State, t: ArrayLike, force_tolerance: float | None) -> Relaxed:
+def _rest(scene: Scene, state: State, t: ScalarLike, force_tolerance: float | None) -> Relaxed:
     t = jnp.asarray(t, float)
     x = state.x if scene.prescribed is None else scene.prescribed.position(state.x, t)
     moved = eqx.tree_at(lambda s: (s.t, s.x), state, (t, x))
@@ -105,7 +106,7 @@ def _stored(scene: Scene, state: State) -> tuple[float, float]:
     return float(parts.stretch + parts.bending), float(sum(parts[:-1], jnp.zeros(())))
 
 
-def fixed(where: np.ndarray, x: np.ndarray) -> Prescribed:
+def fixed(where: Bool[np.ndarray, " nodes"], x: Float[np.ndarray, "nodes 3"]) -> Prescribed:
     """Fix the nodes with mask `where` (n,) at their positions `x` (n, 3) in m."""
     mask = jnp.asarray(np.repeat(where[:, None], 3, axis=1))
     return Prescribed(mask, LinearMotion(jnp.asarray(x), jnp.zeros(3)))

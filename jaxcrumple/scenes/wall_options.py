@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Array, Float
 from pydantic import Field
 
 from jaxcrumple._jax.tree import as_float
@@ -122,7 +122,7 @@ def _of_time(value: float | Motion) -> Any:
     return walls.PiecewiseLinear(jnp.array(value.times), jnp.array(value.values))
 
 
-def unit_vector(direction: Sequence[float]) -> Array:
+def unit_vector(direction: Sequence[float]) -> Float[Array, " 3"]:
     """Return the unit vector (3,) of a direction."""
     # Scale first, so that no square overflows.
     scaled = np.array(direction) / np.max(np.abs(direction))

@@ -5,9 +5,8 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import Array
-from jax.typing import ArrayLike
 
+from jaxcrumple._jax.arrays import Count, Flag, Scalar, ScalarLike
 from jaxcrumple._jax.batched_cond import where_needed
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float, require_shape, select
@@ -60,21 +59,21 @@ class _Carry(NamedTuple):
     schedule: Schedule | None
     log: Log
     factor: Factor | None
-    held: Array
+    held: Flag
     handover: Handover
-    spent: Array
-    rounds: Array
-    left: Array
-    done: Array
+    spent: Count
+    rounds: Count
+    left: Scalar
+    done: Flag
 
 
 @door
 def integrate(
     scene: Scene,
     state: State,
-    t_stop: Array,
+    t_stop: ScalarLike,
     solver: Integrator,
-    max_attempts: ArrayLike = jnp.inf,
+    max_attempts: ScalarLike = jnp.inf,
     trail: int = 0,
 ) -> tuple[State, Log]:
     """Advance a state to `t_stop` in s, or until `max_attempts` or the budget of one call are used up.
@@ -141,24 +140,24 @@ def _renewed(scene: Scene, carry: _Carry, solver: Integrator) -> _Carry:
     return carry._replace(state=state, schedule=schedule)
 
 
-def _limit_is_due(carry: _Carry) -> Array:
+def _limit_is_due(carry: _Carry) -> Flag:
     """Return whether the stability limit must be measured before the next step."""
     monitor = carry.state.monitor
     return (monitor.steps % LIMIT_EVERY == 0) & ~monitor.measured & ~_restores(carry)
 
 
-def _restores(carry: _Carry) -> Array:
+def _restores(carry: _Carry) -> Flag:
     """Return whether the next attempt only recomputes the factor of the lagged tangent."""
     return jnp.asarray(False) if carry.factor is None else must_restore(carry.state.kept, carry.held)
 
 
-def _is_sound(scene: Scene, state: State) -> Array:
+def _is_sound(scene: Scene, state: State) -> Flag:
     """Return whether stability limit and scales are finite; otherwise every step fails."""
     numbers = (state.limit.step, scene.reference_acceleration, scene.velocity_scale, scene.length_scale)
     return jnp.all(jnp.isfinite(jnp.stack(numbers)))
 
 
-def _going(carry: _Carry) -> Array:
+def _going(carry: _Carry) -> Flag:
     room = carry.log.length < LOG_CAPACITY - 4
     if carry.log.trail is not None:
         room = room & ~carry.log.trail.full
@@ -167,14 +166,14 @@ def _going(carry: _Carry) -> Array:
     return ~carry.done & room & sound & going
 
 
-def _interrupted(carry: _Carry) -> Array:
+def _interrupted(carry: _Carry) -> Flag:
     """Return whether a stage change, a limit measurement or a list rebuild must precede the next step."""
     over = (carry.handover.stage != carry.state.stage) | _limit_is_due(carry)
     return over if carry.schedule is None else over | carry.schedule.due
 
 
 def _tried(
-    carry: _Carry, state: State, log: Log, handover: Handover, cost: int, accepted: Array, lands: Array
+    carry: _Carry, state: State, log: Log, handover: Handover, cost: int, accepted: Flag, lands: Flag
 ) -> _Carry:
     """Return the loop variables after another attempt."""
     return carry._replace(
@@ -188,7 +187,7 @@ def _tried(
     )
 
 
-def _clip_step(t: Array, h: Array, t_stop: Array) -> tuple[Array, Array]:
+def _clip_step(t: Scalar, h: Scalar, t_stop: ScalarLike) -> tuple[Scalar, Flag]:
     """Shorten a step so that it ends at `t_stop`, or leaves at least half of the remaining time.
 
     Returns the step in s, and whether it ends at `t_stop`."""
@@ -197,10 +196,10 @@ def _clip_step(t: Array, h: Array, t_stop: Array) -> tuple[Array, Array]:
     return jnp.where(lands, left, jnp.where(h > 0.5 * left, 0.5 * left, h)), lands
 
 
-def _implicit_stages(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
+def _implicit_stages(scene: Scene, carry: _Carry, t_stop: ScalarLike, solver: Integrator) -> _Carry:
     """Run the quasistatic stage and the implicit stage with inertia until the stage changes."""
 
-    def unfinished(carry: _Carry) -> Array:
+    def unfinished(carry: _Carry) -> Flag:
         return _going(carry) & (carry.state.stage != EXPLICIT) & ~_interrupted(carry)
 
     def body(carry: _Carry) -> _Carry:
@@ -209,7 +208,7 @@ def _implicit_stages(scene: Scene, carry: _Carry, t_stop: Array, solver: Integra
     return jax.lax.while_loop(unfinished, body, carry)
 
 
-def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
+def _implicit_step(scene: Scene, carry: _Carry, t_stop: ScalarLike, solver: Integrator) -> _Carry:
     assert solver.implicit is not None
     state = carry.state
     wanted = jnp.minimum(state.h, solver.max_step)
@@ -240,7 +239,14 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
 
 
 def _implicit_attempt(
-    scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted, h, lands, bounded
+    scene: Scene,
+    carry: _Carry,
+    t_stop: ScalarLike,
+    solver: Integrator,
+    wanted: Scalar,
+    h: Scalar,
+    lands: Flag,
+    bounded: Flag,
 ) -> _Carry:
     assert solver.implicit is not None and carry.factor is not None
     scene = listed(scene, carry.schedule)
@@ -278,7 +284,7 @@ def _implicit_attempt(
 
 
 def _moved(
-    scene: Scene, state: State, tried: ImplicitAttempt, h: Array, t: Array, solver: Integrator
+    scene: Scene, state: State, tried: ImplicitAttempt, h: Scalar, t: Scalar, solver: Integrator
 ) -> State:
     """Return the state after an implicit step, or the old state if the step is rejected."""
     moved = eqx.tree_at(
@@ -295,14 +301,14 @@ def _moved(
     return select(tried.accepted, _with_work(scene, state, moved, h), state)
 
 
-def _with_work(scene: Scene, before: State, after: State, h: Array) -> State:
+def _with_work(scene: Scene, before: State, after: State, h: Scalar) -> State:
     """Update the work ledger after an accepted step, if the state has one."""
     if before.work is None:
         return after
     return eqx.tree_at(lambda s: s.work, after, booked(scene, before, after, h))
 
 
-def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
+def _explicit_stage(scene: Scene, carry: _Carry, t_stop: ScalarLike, solver: Integrator) -> _Carry:
     """Run the explicit stage until it ends or is interrupted."""
 
     def body(carry: _Carry) -> _Carry:
@@ -313,12 +319,12 @@ def _explicit_stage(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrat
     return jax.lax.while_loop(_takes_explicit, body, carry)
 
 
-def _takes_explicit(carry: _Carry) -> Array:
+def _takes_explicit(carry: _Carry) -> Flag:
     """Return whether the next step is explicit."""
     return _going(carry) & (carry.state.stage == EXPLICIT) & ~_interrupted(carry)
 
 
-def _explicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrator) -> _Carry:
+def _explicit_step(scene: Scene, carry: _Carry, t_stop: ScalarLike, solver: Integrator) -> _Carry:
     assert solver.explicit is not None
     state = carry.state
     cap = solver.explicit.safety * solver.limit(scene, state)
@@ -331,7 +337,7 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
     following = straight + 0.5 * wanted**2 * state.slopes.acceleration
     differs = motion(straight, following)
 
-    def looked_ahead() -> tuple[State, Schedule | None, Array]:
+    def looked_ahead() -> tuple[State, Schedule | None, Flag]:
         ahead = state.x + LOOK_AHEAD * wanted * state.v
         ahead = state.x + largest_move(scene, carry.schedule, state.x, ahead) * (ahead - state.x)
         return ready_for(scene, state, carry.schedule, ahead)
@@ -350,7 +356,9 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop: Array, solver: Integrato
     return jax.lax.cond(ready, attempt, lambda carry: carry, carry._replace(state=after, schedule=schedule))
 
 
-def _explicit_attempt(scene: Scene, carry: _Carry, t_stop, solver: Integrator, wanted, cap) -> _Carry:
+def _explicit_attempt(
+    scene: Scene, carry: _Carry, t_stop: ScalarLike, solver: Integrator, wanted: Scalar, cap: Scalar
+) -> _Carry:
     assert solver.explicit is not None
     scene, state, order = listed_active(scene, carry.schedule), carry.state, solver.explicit.order
     h, lands = _clip_step(state.t, wanted, t_stop)

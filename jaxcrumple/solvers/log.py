@@ -4,8 +4,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Float, Int
 
+from jaxcrumple._jax.arrays import Count, Flag, NodeVectors, Scalar
 from jaxcrumple.state import Work
 from jaxcrumple.system import Energies
 
@@ -24,22 +25,22 @@ class Row(NamedTuple):
 
     Counts and work are totals since the start of the run. The columns are `COLUMNS`."""
 
-    kind: Array | int
-    t: Array
-    stage: Array
-    h: Array
-    acceleration: Array
-    acceleration_mean: Array
+    kind: Count | int
+    t: Scalar
+    stage: Count
+    h: Scalar
+    acceleration: Scalar
+    acceleration_mean: Scalar
     energies: Energies
-    order: Array | int
-    error: Array | float
-    newton_iterations: Array
-    linear_iterations: Array
-    factors: Array
-    quasistatic_steps: Array
-    implicit_steps: Array
-    explicit_steps: Array
-    rejected_steps: Array
+    order: Count | int
+    error: Scalar | float
+    newton_iterations: Count
+    linear_iterations: Count
+    factors: Count
+    quasistatic_steps: Count
+    implicit_steps: Count
+    explicit_steps: Count
+    rejected_steps: Count
     work: Work
 
 
@@ -54,15 +55,15 @@ class Trail(NamedTuple):
     `x` (capacity, n, 3) m and `t` s at the end of each step, its size `h` s, `stage` and `order`
     (capacity,)."""
 
-    x: Array
-    t: Array
-    h: Array
-    stage: Array
-    order: Array
-    length: Array
+    x: Float[Array, "capacity nodes 3"]
+    t: Float[Array, " capacity"]
+    h: Float[Array, " capacity"]
+    stage: Int[Array, " capacity"]
+    order: Int[Array, " capacity"]
+    length: Count
 
     @property
-    def full(self) -> Array:
+    def full(self) -> Flag:
         """Return whether there is no room for another step."""
         return self.length >= self.t.shape[0]
 
@@ -70,8 +71,8 @@ class Trail(NamedTuple):
 class Log(NamedTuple):
     """Hold rows (capacity, columns), of which the first `length` are valid, and a trail or None."""
 
-    rows: Array
-    length: Array
+    rows: Float[Array, "capacity columns"]
+    length: Count
     trail: Trail | None = None
 
     @property
@@ -90,7 +91,7 @@ def empty_log(capacity: int, nodes: int = 0, steps: int = 0) -> Log:
     return Log(jnp.zeros((capacity, len(COLUMNS))), zero, trail)
 
 
-def append(log: Log, row: Row, wanted: Array | bool = True) -> Log:
+def append(log: Log, row: Row, wanted: Flag | bool = True) -> Log:
     """Append `row` to the log if `wanted`."""
     values = jnp.stack([jnp.asarray(value, log.rows.dtype) for value in jax.tree.leaves(row)])
     index = jnp.where(wanted, log.length, log.capacity)
@@ -98,7 +99,9 @@ def append(log: Log, row: Row, wanted: Array | bool = True) -> Log:
     return log._replace(rows=rows, length=log.length + jnp.asarray(wanted, int))
 
 
-def follow(log: Log, x: Array, t: Array, h: Array, stage: Array, order: Array | int, accepted: Array) -> Log:
+def follow(
+    log: Log, x: NodeVectors, t: Scalar, h: Scalar, stage: Count, order: Count | int, accepted: Flag
+) -> Log:
     """Append a step to the trail of the log, if it has a trail and the step is `accepted`."""
     trail = log.trail
     if trail is None:

@@ -5,8 +5,9 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Float
 
+from jaxcrumple._jax.arrays import Count, Flag, NodeValues, NodeVectors, Scalar
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.memory import require_run
 from jaxcrumple._jax.program_cache import make_room
@@ -44,7 +45,7 @@ SAME = 1e-10
 VALENCE = 6.0
 
 
-class RELAXED(eqx.Enumeration):  # type: ignore[misc]
+class RELAXED(eqx.Enumeration):
     """Name why `relax` stopped."""
 
     converged = "the net force on every free node is within the tolerance"
@@ -84,12 +85,12 @@ class Relaxed(NamedTuple):
     """
 
     state: State
-    converged: Array
-    iterations: Array
-    max_force: Array
-    negative: Array
+    converged: Flag
+    iterations: Count
+    max_force: Scalar
+    negative: Count
     result: RELAXED
-    force_scale: Array
+    force_scale: Scalar
 
     @property
     def reason(self) -> str:
@@ -100,11 +101,11 @@ class Relaxed(NamedTuple):
 class _Point(NamedTuple):
     """Hold positions, net `force` on free nodes, force `scale`, energy, and `magnitude` of its terms."""
 
-    x: Array
-    force: Array
-    scale: Array
-    energy: Array
-    magnitude: Array
+    x: NodeVectors
+    force: NodeVectors
+    scale: Scalar
+    energy: Scalar
+    magnitude: Scalar
 
 
 class _Carry(NamedTuple):
@@ -116,15 +117,20 @@ class _Carry(NamedTuple):
     what rejected the last step."""
 
     point: _Point
-    shift: Array
-    taut: Array
+    shift: Scalar
+    taut: Flag
     factor: Factor
-    iterations: Array
-    rounding: Array
-    moved: Array
-    held_up: Array
-    over: Array
+    iterations: Count
+    rounding: Scalar
+    moved: Flag
+    held_up: Flag
+    over: Flag
     why: RELAXED
+
+
+# Positions, number of solves, turning forces in N and their last change, and whether the tangent is
+# indefinite.
+_Correction = tuple[NodeVectors, Count, NodeVectors, Scalar, Flag]
 
 
 @door
@@ -170,7 +176,9 @@ def relax(
     return _relax(scene, state, tolerance, solver, left, _first_shift(scene))[0]
 
 
-def _relax_apart(scene: Scene, state: State, tolerance: Array | None, solver, left: Array) -> Relaxed:
+def _relax_apart(
+    scene: Scene, state: State, tolerance: Scalar | None, solver: AbstractLinearSolver, left: Count
+) -> Relaxed:
     """Repeat `_relax`, with new contact lists for each call."""
     reallocation, shift, most = Reallocation(scene, solver.one_matrix), _first_shift(scene), left
     scene = reallocation.first(scene, state)
@@ -183,29 +191,29 @@ def _relax_apart(scene: Scene, state: State, tolerance: Array | None, solver, le
         scene = reallocation.first(scene, state)
 
 
-def _first_shift(scene: Scene) -> Array:
+def _first_shift(scene: Scene) -> Scalar:
     return SHIFT_START * _largest(scene)
 
 
-def _largest(scene: Scene) -> Array:
+def _largest(scene: Scene) -> Scalar:
     """Return the largest spring frequency squared in 1/s2."""
     return jnp.max(scene.membrane.stiffness) / jnp.min(scene.mass)
 
 
-def _sizes(f: Array) -> Array:
+def _sizes(f: NodeVectors) -> NodeValues:
     return jnp.sqrt(jnp.sum(f * f, axis=1))
 
 
-def _size(f: Array) -> Array:
+def _size(f: NodeVectors) -> Scalar:
     """Return the largest magnitude of nodal forces (n, 3)."""
     return jnp.max(_sizes(f))
 
 
-def _free(scene: Scene, state: State, f: Array) -> Array:
+def _free(scene: Scene, state: State, f: NodeVectors) -> NodeVectors:
     return f if scene.prescribed is None else scene.prescribed.free(f, state.t)
 
 
-def _point(scene: Scene, state: State, x: Array) -> _Point:
+def _point(scene: Scene, state: State, x: NodeVectors) -> _Point:
     terms = force_terms(scene, x, state.p, state.t)
     net = _free(scene, state, sum(terms, jnp.zeros_like(x)))
     parts = energies(scene, x, jnp.zeros_like(x), state.p, state.t)
@@ -215,7 +223,7 @@ def _point(scene: Scene, state: State, x: Array) -> _Point:
     return _Point(x, net, jnp.max(sum(map(_sizes, terms))), sum(parts, jnp.zeros(())), magnitude)
 
 
-def _within_reach(scene: Scene, x: Array, step: Array) -> Array:
+def _within_reach(scene: Scene, x: NodeVectors, step: NodeVectors) -> NodeVectors:
     """Shorten the step (n, 3) from `x` to the reach of contact lists that were built there."""
     if scene.contact is None:
         return step
@@ -224,23 +232,30 @@ def _within_reach(scene: Scene, x: Array, step: Array) -> Array:
     return step * jnp.minimum(1.0, reach / jnp.max(motion(x, x + step)))
 
 
-def _turn(scene: Scene, step: Array) -> Array:
+def _turn(scene: Scene, step: NodeVectors) -> Scalar:
     """Estimate the largest turn in rad, or strain, of an edge in a step (n, 3)."""
     a, b = scene.membrane.nodes.T
     return jnp.max(_sizes(step[a] - step[b]) / scene.membrane.rest_length)
 
 
-def _rounding(x: Array, stiffness: Array) -> Array:
+def _rounding(x: NodeVectors, stiffness: Scalar) -> Scalar:
     """Return the force error in N that rounding of positions causes at a node of `stiffness` in N/m."""
     return jnp.finfo(x.dtype).eps * jnp.max(jnp.abs(x)) * stiffness
 
 
-def _stepped(scene: Scene, state: State, point: _Point, values: Array, factor: Factor, linear):
+def _stepped(
+    scene: Scene,
+    state: State,
+    point: _Point,
+    values: Float[Array, " entries"],
+    factor: Factor,
+    linear: AbstractLinearSolver,
+) -> tuple[NodeVectors, Flag]:
     """Return the positions (n, 3) after a Newton step, and whether the tangent is indefinite.
 
     Corrections remove the second-order lengthening of edges that turn."""
 
-    def correct(carry: tuple) -> tuple:
+    def correct(carry: _Correction) -> _Correction:
         _, count, turning, _, _ = carry
         rhs = point.force + turning
         solution = linear.solve(scene.sparsity, factor, values, rhs.reshape(-1), FORCING)
@@ -248,7 +263,7 @@ def _stepped(scene: Scene, state: State, point: _Point, values: Array, factor: F
         new = _free(scene, state, scene.membrane.turning_force(point.x, y))
         return y, count + 1, new, _size(new - turning), solution.indefinite
 
-    def unfinished(carry: tuple) -> Array:
+    def unfinished(carry: _Correction) -> Flag:
         _, count, _, change, indefinite = carry
         unsettled = (change > SETTLED * _size(point.force)) & ~indefinite
         return (count == 0) | (unsettled & (count <= CORRECTIONS))
@@ -261,16 +276,21 @@ def _stepped(scene: Scene, state: State, point: _Point, values: Array, factor: F
 
 @eqx.filter_jit
 def _relax(
-    scene: Scene, state: State, given: Array | None, linear, max_iterations: Array, shift: Array
-) -> tuple[Relaxed, Array]:
+    scene: Scene,
+    state: State,
+    given: Scalar | None,
+    linear: AbstractLinearSolver,
+    max_iterations: Count,
+    shift: Scalar,
+) -> tuple[Relaxed, Scalar]:
     """Return the outcome and the last shift."""
     scene = scene if linear.one_matrix else without_matrix(scene)
     top = _largest(scene)
 
-    def own_tolerance(carry: _Carry) -> Array:
+    def own_tolerance(carry: _Carry) -> Scalar:
         return jnp.maximum(RELATIVE * carry.point.scale, ROUNDINGS * carry.rounding)
 
-    def tolerance(carry: _Carry) -> Array:
+    def tolerance(carry: _Carry) -> Scalar:
         return own_tolerance(carry) if given is None else given
 
     def body(carry: _Carry) -> _Carry:
@@ -308,7 +328,7 @@ def _relax(
             _WHY.where(keep, _WHY.budget, why),
         )
 
-    def unfinished(carry: _Carry) -> Array:
+    def unfinished(carry: _Carry) -> Flag:
         going = (carry.iterations < max_iterations) & ~carry.held_up & ~carry.over
         return (_size(carry.point.force) > tolerance(carry)) & going
 

@@ -4,8 +4,8 @@ from typing import Any, Literal, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax import Array
 
+from jaxcrumple._jax.arrays import HingeValues, NodeVectors, Scalar, ScalarLike
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float, is_number
 from jaxcrumple.scene import Scene
@@ -47,23 +47,25 @@ class Integrator(eqx.Module):
     implicit: AbstractImplicit | None
     explicit: AbstractExplicit | None
     switch: Switch
-    first_step: Array = eqx.field(default=1e-4, converter=as_float)
-    restart_steps: Array = eqx.field(default=10.0, converter=as_float)
-    max_step: Array | float = eqx.field(default=jnp.inf, converter=as_float)
+    first_step: Scalar = eqx.field(default=1e-4, converter=as_float)
+    restart_steps: Scalar = eqx.field(default=10.0, converter=as_float)
+    max_step: Scalar | float = eqx.field(default=jnp.inf, converter=as_float)
 
     def has(self, stage: int) -> bool:
         """Return whether the scheme has a stage."""
         return stage in self.stages
 
-    def stability_limit(self, scene: Scene, x: Array, t: Array, p: Array | None = None) -> Array:
+    def stability_limit(
+        self, scene: Scene, x: NodeVectors, t: ScalarLike, p: HingeValues | None = None
+    ) -> Scalar:
         """Compute the largest stable explicit step in s at positions `x` (n, 3), time `t` and p (h,)."""
         return self._method.stable(fastest(scene, x, t, p))
 
-    def measured(self, scene: Scene, x: Array, t: Array, p: Array | None) -> Limit:
+    def measured(self, scene: Scene, x: NodeVectors, t: ScalarLike, p: HingeValues | None) -> Limit:
         """Compute the stability limit, with the wall stiffness, for `State.limit`."""
         return Limit(self.stability_limit(scene, x, t, p), wall_stiffness(scene, x, t))
 
-    def limit(self, scene: Scene, state: State) -> Array:
+    def limit(self, scene: Scene, state: State) -> Scalar:
         """Return the largest stable explicit step in s at a state.
 
         It is the scale of the shortest steps, also in schemes without explicit steps."""
@@ -111,7 +113,7 @@ def integrator(
     switch: Switch | None = None,
     max_order: int = 5,
     rho_infinity: float = 0.0,
-    max_step: Array | float = jnp.inf,
+    max_step: Scalar | float = jnp.inf,
 ) -> Integrator:
     """Build an integrator with relative tolerance `rtol` and steps up to `max_step` s.
 

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import Array
 
+from jaxcrumple._jax.arrays import Count, Flag, Scalar
 from jaxcrumple._jax.tree import select
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.log import AFTER, BEFORE, Log, Row, append
@@ -41,10 +41,10 @@ SPELL, FUTILE, PATIENCE = 200, 10, 2
 class Handover(NamedTuple):
     """Name the `stage` of the next step, and the size `h` in s of its first step if the stage is new."""
 
-    stage: Array
-    h: Array
+    stage: Count
+    h: Scalar
 
-    def when(self, wanted: Array, stage: int, h: Array) -> "Handover":
+    def when(self, wanted: Flag, stage: int, h: Scalar) -> "Handover":
         """Return a change to `stage` with first step `h` if `wanted`, else this one."""
         return Handover(jnp.where(wanted, stage, self.stage), jnp.where(wanted, h, self.h))
 
@@ -55,7 +55,7 @@ def stay(state: State) -> Handover:
 
 
 def after_implicit(
-    scene: Scene, state: State, accepted: Array, cause: Array, solver: Integrator, bounded: Array
+    scene: Scene, state: State, accepted: Flag, cause: Count, solver: Integrator, bounded: Flag
 ) -> Handover:
     """Choose the next stage after an implicit step, which led to `state` or was rejected for `cause`.
 
@@ -79,7 +79,7 @@ def after_implicit(
     return handover
 
 
-def after_explicit(scene: Scene, state: State, accepted: Array, cap: Array, solver: Integrator) -> Handover:
+def after_explicit(scene: Scene, state: State, accepted: Flag, cap: Scalar, solver: Integrator) -> Handover:
     """Choose the next stage after an explicit step; `cap`: longest step of the stage in s."""
     if solver.has(IMPLICIT):
         spell = SPELL * 2 ** jnp.minimum(state.monitor.futile, PATIENCE)
@@ -148,7 +148,7 @@ def _changed(state: State, handover: Handover) -> State:
     )
 
 
-def row(scene: Scene, state: State, kind: int, h, order, error) -> Row:
+def row(scene: Scene, state: State, kind: int, h: Scalar, order: Count | int, error: Scalar | float) -> Row:
     """Return the log row of a state."""
     monitor, count = state.monitor, state.counters
     return Row(

@@ -3,8 +3,9 @@
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import ArrayLike
+from jaxtyping import Float, Int
 
+from jaxcrumple._jax.arrays import Count, NodeVectorsLike
 from jaxcrumple.contact.energy import closest_sites
 from jaxcrumple.contact.host_broad_phase import Search
 from jaxcrumple.contact.lists import SitePairs
@@ -26,7 +27,7 @@ LEAST_HEIGHT = 1e-6
 LEAST_OPENING = float(np.pi - FOLD_STOP) * np.finfo(float).eps ** (1.0 / 3.0)
 
 
-def pierced(scene: Scene, x: ArrayLike) -> np.ndarray:
+def pierced(scene: Scene, x: NodeVectorsLike) -> Int[np.ndarray, "places 5"]:
     """Find the edges and triangles of a self-avoiding scene that intersect at positions `x` (n, 3).
 
     Returns node numbers (k, 5): two of the edge, three of the triangle."""
@@ -71,7 +72,7 @@ def _check_walls(scene: Scene, state: State) -> None:
             )
 
 
-def _check_edges(scene: Scene, x: np.ndarray) -> None:
+def _check_edges(scene: Scene, x: Float[np.ndarray, "nodes 3"]) -> None:
     edges = np.asarray(scene.membrane.nodes)
     bad = np.flatnonzero(np.all(x[edges[:, 0]] == x[edges[:, 1]], axis=1))
     if bad.size:
@@ -81,7 +82,7 @@ def _check_edges(scene: Scene, x: np.ndarray) -> None:
         )
 
 
-def _check_piercing(scene: Scene, x: np.ndarray) -> None:
+def _check_piercing(scene: Scene, x: Float[np.ndarray, "nodes 3"]) -> None:
     found = pierced(scene, x)
     if len(found):
         a, b, *face = found[0].tolist()
@@ -91,7 +92,7 @@ def _check_piercing(scene: Scene, x: np.ndarray) -> None:
         )
 
 
-def _check_hinges(scene: Scene, x: np.ndarray) -> None:
+def _check_hinges(scene: Scene, x: Float[np.ndarray, "nodes 3"]) -> None:
     """Reject hinges at 180 degrees, and triangles without area, whose hinges have no angle."""
     nodes = np.asarray(scene.bending.nodes)
     corners = [x[nodes[:, k]] for k in range(4)]
@@ -158,7 +159,7 @@ def _check_touching(contact: Contact, pairs: SitePairs, size: float) -> None:
         )
 
 
-def _names(contact: Contact, pairs: SitePairs, place: ArrayLike) -> str:
+def _names(contact: Contact, pairs: SitePairs, place: Count | int) -> str:
     """Name the nodes of the two triangles at index `place` of the list."""
     triangles = np.asarray(pairs.triangles)[int(np.asarray(place))]
     return " and ".join(_ids(nodes) for nodes in np.asarray(contact.faces)[triangles])

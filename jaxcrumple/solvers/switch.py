@@ -5,8 +5,8 @@ from typing import Any, Literal, get_args
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
+from jaxcrumple._jax.arrays import Count, Flag, NodeVectors, Scalar
 from jaxcrumple._jax.tree import as_float, is_known
 from jaxcrumple.scene import Scene
 from jaxcrumple.state import IMPLICIT, QUASISTATIC, Monitor
@@ -31,14 +31,14 @@ class Switch(eqx.Module):
       $a_{ref}$ is set by stretching and grows with the number of nodes.
     """
 
-    up: Array | float = eqx.field(default=3e-4, converter=as_float)
-    down: Array | float = eqx.field(default=1e-4, converter=as_float)
-    dwell: Array | float = eqx.field(default=1.0, converter=as_float)
-    ignore: Array | float = eqx.field(default=5, converter=as_float)
-    minimum_steps: Array | float = eqx.field(default=10, converter=as_float)
+    up: Scalar | float = eqx.field(default=3e-4, converter=as_float)
+    down: Scalar | float = eqx.field(default=1e-4, converter=as_float)
+    dwell: Scalar | float = eqx.field(default=1.0, converter=as_float)
+    ignore: Scalar | float = eqx.field(default=5, converter=as_float)
+    minimum_steps: Scalar | float = eqx.field(default=10, converter=as_float)
     measure: Measure = eqx.field(static=True, default="displacement")
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if self.measure not in get_args(Measure):
             known = ", ".join(get_args(Measure))
             raise ValueError(f"measure={self.measure!r} is unknown; choose one of {known}.")
@@ -51,20 +51,26 @@ class Switch(eqx.Module):
                 f"down = {self.down} lies above up = {self.up}: a stage would end as soon as it began."
             )
 
-    def value(self, ratio: Any, reference_acceleration: Any, inertial_time: Any, length_scale: Any) -> Any:
+    def value(
+        self,
+        ratio: Scalar | float,
+        reference_acceleration: Scalar | float,
+        inertial_time: Scalar | float,
+        length_scale: Scalar | float,
+    ) -> Any:
         """Convert a `ratio` a_max/a_ref to the measure of the thresholds."""
         if self.measure == "acceleration":
             return ratio
         return ratio * reference_acceleration * inertial_time**2 / length_scale
 
-    def measured(self, scene: Scene, monitor: Monitor) -> Array:
+    def measured(self, scene: Scene, monitor: Monitor) -> Scalar:
         """Return the mean of the monitor in the measure of the thresholds."""
         scales = scene.reference_acceleration, scene.inertial_time, scene.length_scale
         return self.value(jnp.mean(monitor.ratios), *scales)
 
 
 def observe(
-    scene: Scene, monitor: Monitor, stage: Array, acceleration: Array, h: Array, switch: Switch
+    scene: Scene, monitor: Monitor, stage: Count, acceleration: NodeVectors, h: Scalar, switch: Switch
 ) -> Monitor:
     """Update the monitor after an accepted step of size `h` s with `acceleration` (n, 3) in m/s2."""
     largest = jnp.sqrt(jnp.max(jnp.sum(acceleration * acceleration, axis=1)))
@@ -76,12 +82,12 @@ def observe(
     return eqx.tree_at(lambda m: m.since, seen, jnp.where(restless, 0.0, seen.since))
 
 
-def wants_inertia(scene: Scene, monitor: Monitor, switch: Switch) -> Array:
+def wants_inertia(scene: Scene, monitor: Monitor, switch: Switch) -> Flag:
     """Return whether the accelerations of a quasistatic stage require inertia."""
     return (switch.measured(scene, monitor) > switch.up) & (monitor.steps >= switch.minimum_steps)
 
 
-def has_settled(scene: Scene, monitor: Monitor, switch: Switch) -> Array:
+def has_settled(scene: Scene, monitor: Monitor, switch: Switch) -> Flag:
     """Return whether a stage with inertia no longer needs it."""
     calm = switch.measured(scene, monitor) < switch.down
     lasted = monitor.since >= switch.dwell * jnp.where(switch.dwell > 0, scene.inertial_time, 0.0)

@@ -1,13 +1,16 @@
 """Rows of a log as tables."""
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 
 from jaxcrumple.solvers.log import AFTER, BEFORE, COLUMNS, ENERGIES, EVENT_COLUMNS
 from jaxcrumple.state import STAGES
 
 
-def history_table(rows: np.ndarray) -> pd.DataFrame:
+def history_table(rows: Float[np.ndarray, "rows columns"]) -> pd.DataFrame:
     """Return the rows of a `Log` as a table with the columns `COLUMNS`, and names of stages."""
     table = pd.DataFrame(rows, columns=list(COLUMNS))
     counts = (name for name in COLUMNS if name.endswith(("_steps", "_iterations", "factors")))
@@ -16,7 +19,7 @@ def history_table(rows: np.ndarray) -> pd.DataFrame:
     return table
 
 
-def events_table(rows: np.ndarray) -> pd.DataFrame:
+def events_table(rows: Float[np.ndarray, "rows columns"]) -> pd.DataFrame:
     """Return the changes of stage among the rows of a `Log`, with energies in J before and after."""
     events = []
     before: dict[str, float] = {}
@@ -29,7 +32,7 @@ def events_table(rows: np.ndarray) -> pd.DataFrame:
     return pd.DataFrame(events, columns=list(EVENT_COLUMNS))
 
 
-def _event(before: dict[str, float], after: dict[str, float]) -> dict:
+def _event(before: dict[str, float], after: dict[str, float]) -> dict[str, Any]:
     event = {
         "t": before["t"],
         "origin": STAGES[int(before["stage"])],

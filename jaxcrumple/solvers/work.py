@@ -13,8 +13,8 @@ integrates all terms. The energies do not depend on the path, so that their bala
 
 import jax
 import jax.numpy as jnp
-from jax import Array
 
+from jaxcrumple._jax.arrays import HingeValues, NodeVectors, Scalar
 from jaxcrumple.scene import Scene
 from jaxcrumple.state import State, Work
 from jaxcrumple.system import energies, force
@@ -23,18 +23,18 @@ from jaxcrumple.system import energies, force
 POINTS = (0.5 - 0.5 / 3.0**0.5, 0.5 + 0.5 / 3.0**0.5)
 
 
-def booked(scene: Scene, before: State, after: State, h: Array) -> Work:
+def booked(scene: Scene, before: State, after: State, h: Scalar) -> Work:
     """Return the ledger after an accepted step of `h` s between two states."""
     assert before.work is not None
 
-    def at(share: Array) -> Work:
+    def at(share: Scalar) -> Work:
         return _power(scene, before, after, h, share)
 
     powers = jax.lax.map(at, jnp.asarray(POINTS))
     return jax.tree.map(lambda old, power: old + h * jnp.mean(power), before.work, powers)
 
 
-def _power(scene: Scene, before: State, after: State, h: Array, s: Array) -> Work:
+def _power(scene: Scene, before: State, after: State, h: Scalar, s: Scalar) -> Work:
     """Compute the power in W of each source of work, at the fraction `s` of a step."""
     x, v, a = _path(before, after, h, s)
     t = before.t + s * h
@@ -45,7 +45,7 @@ def _power(scene: Scene, before: State, after: State, h: Array, s: Array) -> Wor
     free = rest if scene.prescribed is None else scene.prescribed.free(rest, t)
     zero = jnp.zeros(())
 
-    def stored(t: Array, p: Array | None) -> Array:
+    def stored(t: Scalar, p: HingeValues | None) -> Scalar:
         parts = energies(scene, x, v, p, t)
         return parts.walls + parts.extra + parts.bending
 
@@ -61,15 +61,15 @@ def _power(scene: Scene, before: State, after: State, h: Array, s: Array) -> Wor
     )
 
 
-def _path(before: State, after: State, h: Array, s: Array) -> tuple[Array, Array, Array]:
+def _path(before: State, after: State, h: Scalar, s: Scalar) -> tuple[NodeVectors, NodeVectors, NodeVectors]:
     """Return positions, velocities and accelerations (n, 3) of the Hermite cubic at the fraction `s`."""
 
-    def position(s: Array) -> Array:
+    def position(s: Scalar) -> NodeVectors:
         way, slope, end = after.x - before.x, h * before.v, h * after.v
         curve, twist = 3.0 * way - 2.0 * slope - end, slope + end - 2.0 * way
         return before.x + s * (slope + s * (curve + s * twist))
 
-    def velocity(s: Array) -> Array:
+    def velocity(s: Scalar) -> NodeVectors:
         return jax.jvp(position, (s,), (jnp.ones_like(s),))[1] / h
 
     v, a = jax.jvp(velocity, (s,), (jnp.ones_like(s),))

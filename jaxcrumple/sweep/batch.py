@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh as DeviceMesh
+from jaxtyping import Bool, Float, Int, Shaped
 
 from jaxcrumple._jax.memory import require
 from jaxcrumple._jax.program_cache import make_room
@@ -29,7 +30,7 @@ LANE = 6e3
 
 def run_batch(
     cases: Sequence[Case],
-    times: np.ndarray,
+    times: Float[np.ndarray, " times"],
     measure: Measure,
     limits: Limits,
     devices: Sequence[jax.Device],
@@ -61,7 +62,13 @@ def run_batch(
 class _Batch:
     """State of all lanes; each lane advances from frame to frame with its own steps."""
 
-    def __init__(self, cases: Sequence[Case], times: np.ndarray, limits: Limits, devices):
+    def __init__(
+        self,
+        cases: Sequence[Case],
+        times: Float[np.ndarray, " times"],
+        limits: Limits,
+        devices: Sequence[jax.Device],
+    ):
         self.times, self.limits = times, limits
         self.setups = [cases[0].build()]
         _check_size(len(cases), self.setups[0].mesh.n_nodes)
@@ -90,7 +97,7 @@ class _Batch:
         return pairs + pairs[-1:] * self.spare
 
     @property
-    def results(self) -> np.ndarray:
+    def results(self) -> Shaped[np.ndarray, " lanes"]:
         """Names of the results of all lanes."""
         names = np.full(len(self.going), "", dtype=object)
         for name in RESULT_NAMES:
@@ -138,22 +145,22 @@ class _Batch:
         """Stop a lane."""
         self.reached[index] = len(self.times)
 
-    def ended(self) -> np.ndarray:
+    def ended(self) -> Int[np.ndarray, " ended"]:
         """Return the lanes that ended since the last call."""
         ended = self.going & ((self.results != "success") | (self.reached >= len(self.times)))
         self.going = self.going & ~ended
         return np.flatnonzero(ended)
 
     @property
-    def _due(self) -> np.ndarray:
+    def _due(self) -> Float[np.ndarray, " lanes"]:
         """Time in s of the next frame of each lane."""
         return self.times[np.minimum(self.reached, len(self.times) - 1)]
 
-    def _attempts(self) -> np.ndarray:
+    def _attempts(self) -> Int[np.ndarray, " lanes"]:
         counters = self.states.counters
         return np.sum(np.asarray(counters.steps), axis=1) + np.sum(np.asarray(counters.rejected), axis=1)
 
-    def _end(self, which: np.ndarray, result: Any) -> None:
+    def _end(self, which: Bool[np.ndarray, " lanes"], result: Any) -> None:
         """Set the result of the selected lanes."""
         if np.any(which):
             given = jax.vmap(lambda here, old: RESULTS.where(here, result, old))(which, self.states.result)

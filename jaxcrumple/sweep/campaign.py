@@ -14,7 +14,8 @@ from jaxcrumple.io import RunDirectory, RunDirectoryError
 from jaxcrumple.io.atomic import refusal, write_bytes
 from jaxcrumple.io.lock import writing
 from jaxcrumple.io.rundir import is_run, make_folder
-from jaxcrumple.run.config import ConfigError, RunConfig
+from jaxcrumple.options.validation import ConfigError
+from jaxcrumple.run.config import RunConfig
 from jaxcrumple.run.estimate import require_config
 from jaxcrumple.run.run import resume_run, start_run, stored_config
 from jaxcrumple.solvers.start import check_start

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxcrumple._jax.memory import require
-from jaxcrumple.run.config import ConfigError, RunConfig, configure
+from jaxcrumple.options.validation import ConfigError
+from jaxcrumple.run.config import RunConfig, configure
 from jaxcrumple.scenes import Setup
 from jaxcrumple.solvers.scheme import Integrator, integrator
 

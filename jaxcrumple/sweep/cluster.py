@@ -49,7 +49,7 @@ class OneCore(WorkerPlugin):
     def __init__(self, cores: Sequence[int]):
         self.cores = list(cores)
 
-    def setup(self, worker) -> None:
+    def setup(self, worker: Any) -> None:
         """Pin the worker. Dask calls this at its start, before it creates threads."""
         os.sched_setaffinity(0, {self.cores[int(worker.name) % len(self.cores)]})
 

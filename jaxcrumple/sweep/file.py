@@ -7,7 +7,8 @@ from pydantic import Field
 
 from jaxcrumple.options.toml import read_toml
 from jaxcrumple.options.units import TIME
-from jaxcrumple.run.config import ConfigError, Options, unit_named, validated
+from jaxcrumple.options.validation import ConfigError, validated
+from jaxcrumple.run.config import Options, unit_named
 from jaxcrumple.scenes.functions import scene_entry
 
 

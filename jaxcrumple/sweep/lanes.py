@@ -7,10 +7,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from jax.sharding import Mesh as DeviceMesh
 from jax.sharding import NamedSharding, PartitionSpec
+from jaxtyping import Array, Float, Real
 
+from jaxcrumple._jax.arrays import Scalar
 from jaxcrumple.scene import Scene, with_lists
 from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.scheme import Integrator
@@ -19,6 +20,8 @@ from jaxcrumple.state import State
 AXIS = "lanes"
 # A scene and its solver, in which lanes may differ.
 Inputs = tuple[Scene, Integrator]
+# States, stop times in s, and remaining attempts.
+Moving = tuple[State, Float[Array, " lanes"], Real[Array, " lanes"]]
 
 
 class Lanes(NamedTuple):
@@ -98,9 +101,7 @@ def best_side_by_side(device: jax.Device) -> bool:
 
 
 @eqx.filter_jit
-def advance(
-    lanes: Lanes, moving: tuple[State, Array, Array], devices: DeviceMesh, side_by_side: bool
-) -> State:
+def advance(lanes: Lanes, moving: Moving, devices: DeviceMesh, side_by_side: bool) -> State:
     """Call `integrate` once for each lane.
 
     **Arguments:** `moving`: states, stop times (lanes,) in s, and remaining attempts (lanes,); `devices`:
@@ -109,8 +110,8 @@ def advance(
     """
     shared, static = eqx.partition(lanes.shared, eqx.is_array)
 
-    def part(own: Any, moving: tuple[State, Array, Array], shared: Any) -> State:
-        def one(lane: tuple[Any, State, Array, Array]) -> State:
+    def part(own: Any, moving: Moving, shared: Any) -> State:
+        def one(lane: tuple[Any, State, Scalar, Real[Array, ""]]) -> State:
             own, state, stop, left = lane
             scene, solver = eqx.combine(own, shared, static)
             return integrate(scene, state, stop, solver, left)[0]

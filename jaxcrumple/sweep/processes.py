@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 
 from jaxcrumple.simulate import simulate
 from jaxcrumple.solvers.start import check_start
@@ -30,7 +31,7 @@ class _Observer:
         pass
 
 
-def run_case(case: Case, times: np.ndarray, measure: Measure, limits: Limits) -> Outcome:
+def run_case(case: Case, times: Float[np.ndarray, " times"], measure: Measure, limits: Limits) -> Outcome:
     """Run one case. If it raises, e.g. in `measure`, the outcome keeps the earlier frames."""
     setup = case.build()
     frames = Frames(measure, setup)
@@ -52,7 +53,7 @@ def run_case(case: Case, times: np.ndarray, measure: Measure, limits: Limits) ->
 
 def run_processes(
     cases: Sequence[Case],
-    times: np.ndarray,
+    times: Float[np.ndarray, " times"],
     measure: Measure,
     limits: Limits,
     cluster: Cluster,

@@ -8,13 +8,12 @@ from typing import Any, Literal
 import jax
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike
 
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.memory import require_run
 from jaxcrumple._jax.tree import require_limit
 from jaxcrumple.scenes import Setup
-from jaxcrumple.simulate import checked_times
+from jaxcrumple.simulate import Times, checked_times
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import initial_state
 from jaxcrumple.sweep.batch import run_batch
@@ -30,7 +29,7 @@ Backend = Literal["auto", "batch", "processes"]
 def sweep(
     scene: Scenes,
     over: Mapping[str, Iterable[Any]],
-    times: ArrayLike,
+    times: Times,
     *,
     settings: Mapping[str, Any] | None = None,
     solver: Integrator | None = None,

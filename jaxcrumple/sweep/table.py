@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 import xarray as xr
+from jaxtyping import Float
 
 from jaxcrumple.run.summary import figures
 from jaxcrumple.scenes import Setup
@@ -115,7 +116,7 @@ def _known(name: str, value: Any) -> Any:
 
 
 def table(
-    grid: Grid, times: np.ndarray, outcomes: Sequence[Outcome], attributes: Mapping[str, Any]
+    grid: Grid, times: Float[np.ndarray, " times"], outcomes: Sequence[Outcome], attributes: Mapping[str, Any]
 ) -> xr.Dataset:
     """Arrange the outcomes over the names of the grid; measured values also over time, NaN after the end of a
     case."""
@@ -147,7 +148,7 @@ def check_names(grid: Grid, measured: xr.Dataset) -> None:
             raise ValueError(f"the table of a sweep has a {name!r} of its own: choose another name.")
 
 
-def _row(times: np.ndarray, outcome: Outcome) -> xr.Dataset:
+def _row(times: Float[np.ndarray, " times"], outcome: Outcome) -> xr.Dataset:
     known = {"result": outcome.result, "message": outcome.message}
     if outcome.state is not None:
         known |= _spent(outcome.state)

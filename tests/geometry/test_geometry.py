@@ -185,7 +185,7 @@ def test_no_net_force_or_torque(sheet):
             "membrane": springs.force(x),
             "bending": hinges.force(hinges.hinges(x), p, len(x)),
             "dashpot": dashpots.force(x, v),
-            "step": dashpots.step_force(x, v, -0.9 * jnp.ones(len(dashpots.nodes)), 0.1),
+            "step": dashpots.step_force(x, v, -0.9 * jnp.ones(len(dashpots.nodes)), jnp.asarray(0.1)),
         }
 
     forces = evaluate(x, v)

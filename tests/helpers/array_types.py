@@ -1,14 +1,20 @@
 """Check in tests, at each call, what annotations say about the shapes and kinds of arrays.
 
-Checked are annotations such as `Float[Array, "nodes 3"]`. Annotations with `ArrayLike` are not: a function
-checks such arguments itself, and its error says more. Names of axes hold within one call, or one object.
+Checked are annotations such as `Float[Array, "nodes 3"]`. Those of what users pass, with `ArrayLike` or a
+NumPy array among several types, are not: a function checks such arguments itself, and its error says more.
+Names of axes hold within one call, or one object.
 """
 
+from collections.abc import Callable
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin
 
-from beartype import beartype
+import numpy as np
+from beartype import BeartypeConf, beartype
 from jaxtyping import AbstractArray, install_import_hook
+
+# A whole number is a float, too.
+WHOLE_NUMBERS = BeartypeConf(is_pep484_tower=True)
 
 
 def install() -> None:
@@ -22,14 +28,16 @@ def checked(function):
     if all(hint is Any for hint in hints.values()):
         return function
     function.__annotations__ = hints
-    return beartype(function)
+    return beartype(function, conf=WHOLE_NUMBERS)
 
 
 def _tells(hint) -> bool:
     if isinstance(hint, type) and issubclass(hint, AbstractArray):
         return True
-    parts = [part for part in get_args(hint) if part is not NoneType]
+    if get_origin(hint) is Callable:
+        return False
+    parts = get_args(hint)
     if get_origin(hint) in (Union, UnionType):
-        kinds = {getattr(part, "array_type", None) for part in parts}
-        return len(kinds) == 1 and all(map(_tells, parts))
+        arrays = {getattr(part, "array_type", part) for part in parts} - {NoneType}
+        return any(map(_tells, parts)) and (np.ndarray not in arrays or len(arrays) == 1)
     return any(map(_tells, parts))

@@ -96,7 +96,7 @@ def test_shear_and_bulk_moduli_are_isotropic(size, angle):
 def bending_density(x):
     """Bending energy per area in units of kappa at positions `x` of the patch, from interior hinges."""
     mesh, scene = patch()
-    energy = np.asarray(scene.bending.element_energy(jnp.asarray(x), 0.0))
+    energy = np.asarray(scene.bending.element_energy(jnp.asarray(x), jnp.zeros(len(mesh.hinges))))
     # A cell has one hinge in each of the three directions.
     edges = np.diff(mesh.vertices[mesh.hinges[:, :2]], axis=1)[:, 0]
     direction = np.round(np.degrees(np.arctan2(edges[:, 1], edges[:, 0])) / 60).astype(int) % 3

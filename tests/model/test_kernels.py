@@ -49,7 +49,7 @@ def step_edges():
     x, _, b, s = random_edges()
     rng = np.random.default_rng(3)
     past = x + 0.1 * rng.normal(size=(3, *x.shape))
-    return x, past, np.array([-1.8, 1.1, -0.3]), 0.37, b, s
+    return x, past, np.array([-1.8, 1.1, -0.3]), jnp.asarray(0.37), b, s
 
 
 @pytest.mark.parametrize("model", [PaperDashpot, CentralDashpot])
@@ -87,7 +87,7 @@ def test_central_dashpot_force_is_minus_b_jtj_v():
     direction = r / np.linalg.norm(r, axis=1)[:, None]
     f = -b[:, None] * np.sum(direction * u, axis=1)[:, None] * direction
     nodes_x, nodes = disconnected(x)
-    force = CentralDashpot(nodes, b).force(nodes_x, jnp.asarray(v.reshape(-1, 3)))
+    force = CentralDashpot(nodes, jnp.asarray(b)).force(nodes_x, jnp.asarray(v.reshape(-1, 3)))
     assert_close(force.reshape(-1, 2, 3), np.stack([f, -f], axis=1))
 
 
@@ -97,7 +97,7 @@ def test_central_dashpot_step_force_ignores_rigid_motion_of_any_size():
     rng = np.random.default_rng(4)
     nodes_x, nodes = disconnected(x)
     moved = np.einsum("sij,nj->sni", rotations(rng, 3), nodes_x) + rng.normal(size=(3, 1, 3))
-    dashpot = CentralDashpot(nodes, b)
+    dashpot = CentralDashpot(nodes, jnp.asarray(b))
     memory = dashpot.memory(jnp.asarray(moved), jnp.asarray(alpha))
     force = dashpot.step_force(nodes_x, jnp.zeros_like(nodes_x), memory, beta_h)
     assert np.max(np.abs(force)) < 1e-13
@@ -191,7 +191,7 @@ def test_condensed_tangent_is_the_jacobian_of_the_condensed_force(hinge_data):
 
     def force(x, memory, stiffness):
         c = curvature(x)
-        p, _ = implicit_update(rule, c[None], memory[None], beta_h)
+        p, _ = implicit_update(rule, c[None], memory[None], jnp.asarray(beta_h))
         model = Bending(jnp.arange(4)[None], stiffness[None], jnp.zeros(1))
         return model.force(model.hinges(x), p, 4)
 
@@ -234,7 +234,7 @@ def test_fold_stop_and_its_closed_derivatives():
     assert all(np.all(np.asarray(a)[below] == 0.0) for a in stop)
     assert np.all(np.asarray(stop[0])[~below] > 0.0)
     # A barrier: it grows without bound before the faces touch.
-    assert bending.fold_stop(np.pi - 1e-6) > 1e5
+    assert bending.fold_stop(jnp.asarray(np.pi - 1e-6)) > 1e5
 
 
 def test_fold_stop_is_twice_continuously_differentiable_at_its_onset():

@@ -56,7 +56,7 @@ def test_flow_rate_is_eqs_34_to_36():
 
 def test_plastic_edge_under_held_curvature():
     C, c0, gamma = 1.5, 0.3, 1.0
-    rate = jax.jit(lambda p: law(c0, 1.0, gamma).rate(C, p))
+    rate = jax.jit(lambda p: law(c0, 1.0, gamma).rate(jnp.full(1, C), p[None])[0])
     times = np.array([1.0, 5.0, 20.0, 50.0])
     p = integrate(lambda t, p: rate(p), 0.0, times)
     assert np.max(np.abs(p - [0.337495915, 0.790048489, 1.017490305, 1.090856147])) < 6e-10
@@ -66,7 +66,7 @@ def test_plastic_edge_under_held_curvature():
 
 
 def test_plastic_edge_on_a_ramp():
-    rate = jax.jit(lambda c, p: law().rate(c, p))
+    rate = jax.jit(lambda c, p: law().rate(c[None], p[None])[0])
     p = integrate(lambda t, p: rate(0.1 * t, p), 0.0, np.array([60.0, 70.0]))
     elastic = 0.1 * np.array([60.0, 70.0]) - p
     assert np.max(np.abs(elastic - 0.855217)) < 6e-7
@@ -134,10 +134,10 @@ def test_implicit_update_slope(beta_h):
     slope = update(law(), c, -start, beta_h)[1]
 
     @jax.jit
-    def derivative(c):
+    def derivative(c, beta_h):
         return jax.jvp(lambda c: implicit_update(law(), c, -start, beta_h)[0], (c,), (jnp.ones_like(c),))[1]
 
-    tangent = derivative(c)
+    tangent = derivative(c, beta_h)
     assert np.max(np.abs(tangent - slope)) < 1e-12
     step = 1e-5
     plus, minus = (update(law(), c + s, -start, beta_h)[0] for s in (step, -step))

@@ -36,7 +36,7 @@ def shaken(plastic_time=1e-5, **terms):
 
 @eqx.filter_jit
 def end_of(method, scene, x, v, p, end, steps):
-    h = end / steps
+    h = jnp.asarray(end / steps)
 
     def body(k, y):
         return method.advance(scene, k * h, h, *y)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jaxcrumple.mesh.files.surface import Surface, strip_triangles, surface_of
 
@@ -178,6 +177,6 @@ def _polygons(tables: dict[str, dict[str, Any]]) -> Iterator[Sequence[int]]:
     yield from next((tables["face"][key] for key in _CORNERS if key in tables.get("face", {})), [])
     strips = tables.get("tristrips", {})
     for row in next((strips[key] for key in _CORNERS if key in strips), []):
-        values: NDArray[np.int64] = np.asarray(row, np.int64)
+        values = np.asarray(row, np.int64)
         for strip in np.split(values, np.flatnonzero(values < 0)):
             yield from strip_triangles(strip[strip >= 0])

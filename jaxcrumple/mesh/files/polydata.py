@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Real
 
 from jaxcrumple.mesh.files.surface import Surface, strip_triangles, surface_of
 
@@ -53,9 +53,9 @@ class _Reader:
         if kind.upper() not in ("ASCII", "BINARY"):
             raise ValueError(f"its third line is {kind[:40]!r} instead of ASCII or BINARY")
         self.binary = kind.upper() == "BINARY"
-        self.points: NDArray[Any] = np.zeros((0, 3))
-        self.polygons: list[NDArray[Any]] = []
-        self.data: dict[str, NDArray[Any]] = {}
+        self.points: Real[np.ndarray, "points 3"] = np.zeros((0, 3))
+        self.polygons: list[Real[np.ndarray, " _"]] = []
+        self.data: dict[str, Real[np.ndarray, " ..."]] = {}
         self.rows, self.of_points = 0, False
 
     def surface(self) -> Surface:
@@ -76,7 +76,7 @@ class _Reader:
         line, self.at = self.content[self.at : end], end + 1
         return line.decode("utf-8", errors="replace").strip()
 
-    def array(self, count: int, type_name: str) -> NDArray[Any]:
+    def array(self, count: int, type_name: str) -> Real[np.ndarray, " count"]:
         """Read the next `count` numbers; `type_name` is their type in binary files."""
         code = _TYPES.get(type_name.lower())
         if code is None:
@@ -102,7 +102,7 @@ class _Reader:
     def _points(self, words: list[str]) -> None:
         self.points = self.array(3 * int(words[0]), words[1]).reshape(-1, 3)
 
-    def _cells(self, words: list[str]) -> list[NDArray[Any]]:
+    def _cells(self, words: list[str]) -> list[Real[np.ndarray, " _"]]:
         rows, numbers = int(words[0]), int(words[1])
         if self.offsets:
             bounds, corners = (self.array(size, self.line().split()[1]) for size in (rows, numbers))
@@ -140,7 +140,7 @@ class _Reader:
 
         return begin
 
-    def _keep(self, name: str, values: NDArray[Any]) -> None:
+    def _keep(self, name: str, values: Real[np.ndarray, " ..."]) -> None:
         if self.of_points:
             self.data[name] = values
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Bool, Float, Int
 
 from jaxcrumple.mesh.files.surface import MeshError, Surface
 
@@ -14,11 +14,8 @@ _FLAT = 1e-9  # smallest area of an ear, relative to its longest side squared
 _CROSSED = "face {} with {} corners crosses itself or has no area; remove or redraw it"
 _MOST_CORNERS = 1000  # limit, because ear clipping tests every corner for every ear
 
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 
-
-def triangulated(surface: Surface) -> IntArray:
+def triangulated(surface: Surface) -> Int[np.ndarray, "triangles 3"]:
     """Cut the polygons of a surface into triangles (f, 3), in the order of the polygons.
 
     A quadrilateral is cut along its shorter diagonal, which gives better-shaped triangles, unless only the
@@ -63,11 +60,18 @@ def _without_repeats(surface: Surface) -> Surface:
     return replace(surface, corners=surface.corners[~repeated], sizes=sizes)
 
 
-def _cut(points: FloatArray, quads: IntArray, rows: IntArray) -> IntArray:
+def _cut(
+    points: Float[np.ndarray, "points 3"], quads: Int[np.ndarray, "quads 4"], rows: Int[np.ndarray, " quads"]
+) -> Int[np.ndarray, "quads 2 3"]:
     """Cut each quadrilateral into two triangles (q, 2, 3); `rows` are its polygon numbers for messages."""
     a, b, c, d = np.moveaxis(points[quads], 1, 0)
 
-    def inside(p: FloatArray, q: FloatArray, r: FloatArray, s: FloatArray) -> NDArray[np.bool_]:
+    def inside(
+        p: Float[np.ndarray, "quads 3"],
+        q: Float[np.ndarray, "quads 3"],
+        r: Float[np.ndarray, "quads 3"],
+        s: Float[np.ndarray, "quads 3"],
+    ) -> Bool[np.ndarray, " quads"]:
         """Whether the triangles p q r and p r s, on either side of p r, do not overlap."""
         return (np.cross(q - p, r - p) * np.cross(r - p, s - p)).sum(axis=1) > 0
 
@@ -82,7 +86,7 @@ def _cut(points: FloatArray, quads: IntArray, rows: IntArray) -> IntArray:
     )
 
 
-def _ears(x: FloatArray) -> IntArray | None:
+def _ears(x: Float[np.ndarray, "corners 3"]) -> Int[np.ndarray, "ears 3"] | None:
     """Return triangles (k - 2, 3) of a polygon with corners `x` (k, 3), or None if it crosses itself."""
     following = np.roll(x, -1, axis=0)
     normal = np.cross(x - x[0], following - x[0]).sum(axis=0)  # Newell's normal: twice the area
@@ -101,7 +105,7 @@ def _ears(x: FloatArray) -> IntArray | None:
     return np.array(ears)
 
 
-def _best_ear(p: FloatArray) -> int | None:
+def _best_ear(p: Float[np.ndarray, "corners 2"]) -> int | None:
     """Return the corner with the best-shaped triangle inside a counterclockwise polygon (k, 2), or None."""
     before, after = np.roll(p, 1, axis=0), np.roll(p, -1, axis=0)
     doubled = _area(before, p, after)
@@ -122,7 +126,9 @@ def _best_ear(p: FloatArray) -> int | None:
     return None
 
 
-def _area(a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
+def _area(
+    a: Float[np.ndarray, "... 2"], b: Float[np.ndarray, "... 2"], c: Float[np.ndarray, "... 2"]
+) -> Float[np.ndarray, " ..."]:
     """Twice the signed area of triangles in the plane."""
     u, v = b - a, c - a
     return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]

@@ -6,7 +6,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -24,11 +24,10 @@ STL_MERGE = 1e-6
 _LARGEST, _SMALLEST = 5.0, 1e-3  # sizes of a sheet [m] outside which its unit is doubtful
 _MOST_NEIGHBOURS = 64  # most neighbours of a point within the merging distance, on average
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
-
-def read_sheet(path: str | Path, merge: float | str | None, unit: str | None) -> tuple[FloatArray, IntArray]:
+def read_sheet(
+    path: str | Path, merge: float | str | None, unit: str | None
+) -> tuple[Float[np.ndarray, "points 3"], Int[np.ndarray, "triangles 3"]]:
     """Read the points (m, 3) of a file in metres, and its triangles (f, 3).
 
     **Raises:** as `Mesh.from_file`.
@@ -81,7 +80,9 @@ def merge_distance(merge: float | str) -> float:
     return distance
 
 
-def merged(points: FloatArray, faces: IntArray, distance: float) -> IntArray:
+def merged(
+    points: Float[np.ndarray, "points 3"], faces: Int[np.ndarray, "faces 3"], distance: float
+) -> Int[np.ndarray, "kept 3"]:
     """Merge points that steps of up to `distance` in m connect, and return the faces over these points.
 
     The first point of each group represents it. Triangles that collapse to an edge or a point are dropped.

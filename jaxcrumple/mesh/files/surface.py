@@ -8,7 +8,7 @@ from itertools import chain
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float, Int, Real, Shaped
 
 
 class MeshError(ValueError):
@@ -26,14 +26,14 @@ class Surface:
     Polygon i has `sizes[i]` corners. In `corners` they follow the corners of polygon i - 1.
     """
 
-    points: NDArray[np.float64]  # (m, 3)
-    corners: NDArray[np.int64]  # (sum of sizes,) rows of `points`
-    sizes: NDArray[np.int64]  # (k,) at least 3
-    data: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # further values per point
+    points: Float[np.ndarray, "points 3"]  # (m, 3)
+    corners: Int[np.ndarray, " corners"]  # (sum of sizes,) rows of `points`
+    sizes: Int[np.ndarray, " polygons"]  # (k,) at least 3
+    data: Mapping[str, Shaped[np.ndarray, " ..."]] = field(default_factory=dict)  # further values per point
 
 
 def surface_of(
-    points: Any, polygons: Iterable[Any], data: Mapping[str, NDArray[Any]] | None = None
+    points: Any, polygons: Iterable[Any], data: Mapping[str, Shaped[np.ndarray, " ..."]] | None = None
 ) -> Surface:
     """Make a surface of polygons, which are sequences of rows of `points`, in the given order.
 
@@ -49,7 +49,7 @@ def surface_of(
     return Surface(spatial(points), corners.astype(np.int64), sizes, data or {})
 
 
-def spatial(points: Any) -> NDArray[np.float64]:
+def spatial(points: Any) -> Float[np.ndarray, "points 3"]:
     """Return points (m, 3); a missing third coordinate is 0."""
     raw = np.asarray(points, float)
     if raw.ndim != 2 or raw.shape[1] not in (2, 3):
@@ -57,7 +57,7 @@ def spatial(points: Any) -> NDArray[np.float64]:
     return np.column_stack([raw, np.zeros(len(raw))])[:, :3]
 
 
-def strip_triangles(strip: NDArray[np.int64]) -> NDArray[np.int64]:
+def strip_triangles(strip: Real[np.ndarray, " corners"]) -> Real[np.ndarray, "triangles 3"]:
     """Return the triangles (k - 2, 3) of a strip of k nodes, consistently oriented."""
     triangles = np.column_stack([strip[:-2], strip[1:-1], strip[2:]])
     triangles[1::2] = triangles[1::2, [1, 0, 2]]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 import io
 from pathlib import Path
-from typing import Any
 
 import meshio
-from numpy.typing import NDArray
+import numpy as np
+from jaxtyping import Float, Int
 
 from jaxcrumple.mesh.files.surface import MeshError
 
@@ -16,7 +16,9 @@ from jaxcrumple.mesh.files.surface import MeshError
 FILE_FORMATS = (".vtu", ".vtk", ".ply", ".obj", ".off", ".msh")
 
 
-def write_triangles(path: str | Path, points: NDArray[Any], faces: NDArray[Any]) -> None:
+def write_triangles(
+    path: str | Path, points: Float[np.ndarray, "nodes 3"], faces: Int[np.ndarray, "faces 3"]
+) -> None:
     """Write points (n, 3) and triangles (f, 3); the ending of `path` selects the format.
 
     **Raises:** `MeshError` for an unknown ending, `OSError` if the file cannot be written.

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from numpy.typing import ArrayLike
+from jaxtyping import Array, ArrayLike, Bool, Int
 
+from jaxcrumple._jax.arrays import HingeValues, NodeVectors, NodeVectorsLike, Scalar
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.program_cache import make_room
 from jaxcrumple._jax.tree import is_known
@@ -100,7 +100,7 @@ class Reallocation:
                 return lists._replace(pairs=pairs)
             lists = self.grown(lists, np.append(pairs.needed, 0))
 
-    def grown(self, lists: ContactLists, needed: np.ndarray) -> ContactLists:
+    def grown(self, lists: ContactLists, needed: Int[np.ndarray, "4"]) -> ContactLists:
         """Return the lists with capacities doubled until they hold `SOON` times `needed` (4,).
 
         The candidates grow only after an overflow.
@@ -161,7 +161,7 @@ def _places_of(lists: ContactLists) -> float:
 
 
 @eqx.filter_jit
-def _turned(scene: Scene, x: Array, folded: Array) -> tuple[Array, Array]:
+def _turned(scene: Scene, x: NodeVectors, folded: Bool[Array, " ways"]) -> tuple[HingeValues, Scalar]:
     """Return the hinge angles (h,) in rad at positions `x` (n, 3), and the largest turn in rad of the ways
     that are not `folded` (w,)."""
     assert scene.contact is not None
@@ -177,7 +177,9 @@ def _with_candidates(lists: ContactLists, size: int) -> ContactLists:
 
 
 @door
-def with_contacts(scene: Scene, x: ArrayLike | State, needed: ArrayLike | None = None) -> Scene:
+def with_contacts(
+    scene: Scene, x: NodeVectorsLike | State, needed: Int[ArrayLike, "4"] | None = None
+) -> Scene:
     """Build the contact lists of a scene for positions `x` (n, 3) in m, on the host.
 
     Call it before `energies`, `force` or `tangent` of a scene with contact: away from `x` they return NaN
@@ -249,7 +251,7 @@ def _with_sizes(scene: Scene, capacity: Capacity, candidates: int) -> Scene:
     return with_lists(scene, lists._replace(pairs=no_pairs(scene.n_nodes, capacity)))
 
 
-def _listed(scene: Scene, listing: Listing, needed: np.ndarray, merged: bool) -> Scene:
+def _listed(scene: Scene, listing: Listing, needed: Int[np.ndarray, "4"], merged: bool) -> Scene:
     """Return the scene with the lists of a state's `listing` and capacities for `needed` (4,)."""
     own = Reallocation(scene, merged)
     lists = own.grown(_lists(scene), needed)

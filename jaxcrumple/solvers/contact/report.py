@@ -1,13 +1,13 @@
 """Report on the contact of a scene: what interacts, and whether and why the neighbour lists are valid."""
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from numpy.typing import ArrayLike
 
+from jaxcrumple._jax.arrays import Count, NodeVectors, NodeVectorsLike, Scalar
 from jaxcrumple._jax.door import door
 from jaxcrumple.contact.adjacency import MOST_TURN
 from jaxcrumple.contact.energy import closest_sites, energy
@@ -81,7 +81,7 @@ class ContactReport(NamedTuple):
 
 
 @door
-def contact_report(scene: Scene, x: ArrayLike) -> ContactReport:
+def contact_report(scene: Scene, x: NodeVectorsLike) -> ContactReport:
     """Report on the contact of a scene at positions `x` (n, 3) in m; printed, it is a table.
 
     The lists are those of the scene, or new ones for `x` if the scene has none.
@@ -108,7 +108,7 @@ def contact_report(scene: Scene, x: ArrayLike) -> ContactReport:
 
 
 @eqx.filter_jit
-def _measured(scene: Scene, x: Array) -> tuple[tuple[Array, Array, Array], Array, Array]:
+def _measured(scene: Scene, x: NodeVectors) -> tuple[tuple[Scalar, Scalar, Count], Count, Scalar]:
     """Compute energy, smallest gap and number of interacting site pairs; the place of the closest pair; and
     the largest turn left out."""
     contact, lists = scene.contact, scene.own_lists
@@ -117,7 +117,7 @@ def _measured(scene: Scene, x: Array) -> tuple[tuple[Array, Array, Array], Array
     return (energy(contact, lists, x), gap, count), place, unlisted_turn(scene, x)
 
 
-def _reports(lists: ContactLists, x: Array):
+def _reports(lists: ContactLists, x: NodeVectors) -> Iterator[ListReport]:
     """Yield the reports of the lists, coarse to fine."""
     candidates, pairs = lists.candidates, lists.pairs
     used = _used(candidates.reference, x)
@@ -129,7 +129,7 @@ def _reports(lists: ContactLists, x: Array):
         yield ListReport(name, int(needed), capacity, *used)
 
 
-def _used(reference: Reference, x: Array) -> tuple[float, int, float]:
+def _used(reference: Reference, x: NodeVectors) -> tuple[float, int, float]:
     """Return the smallest skin in m, and the node that used the largest share of its skin, with the share."""
     skin = np.asarray(reference.skin)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Bool
 
+from jaxcrumple._jax.arrays import Count, Flag, NodeValues, NodeVectors, Scalar
 from jaxcrumple._jax.batched_cond import where_needed
 from jaxcrumple._jax.tree import select
 from jaxcrumple.contact import coverage
@@ -65,7 +66,7 @@ class ListStatus(enum.IntEnum):
     STEP_TOO_LONG = 6
 
     @property
-    def array(self) -> Array:
+    def array(self) -> Count:
         """Return the status as an array that a loop can carry."""
         return jnp.asarray(int(self), int)
 
@@ -83,12 +84,12 @@ class Schedule(NamedTuple):
     lists: ContactLists
     candidates: Reference
     pairs: Reference
-    status: Array
-    short: Array
-    turn: Array
+    status: Count
+    short: Flag
+    turn: Scalar
 
     @property
-    def due(self) -> Array:
+    def due(self) -> Flag:
         """Return whether a rebuild must precede the next step."""
         return self.status >= ListStatus.REBUILD_LISTED
 
@@ -132,7 +133,7 @@ def rescheduled(state: State, schedule: Schedule | None) -> Schedule | None:
     return schedule._replace(status=ListStatus.REBUILD_LISTED.array)
 
 
-def waits(state: State) -> Array:
+def waits(state: State) -> Flag:
     """Return whether the state waits for the host: for entries in the matrix, or for more capacity."""
     if state.listing is None:
         return jnp.asarray(False)
@@ -181,7 +182,7 @@ def renewed(scene: Scene, state: State, schedule: Schedule | None) -> tuple[Stat
 
 
 def with_active(
-    scene: Scene, state: State, schedule: Schedule, ahead: Array, differs: Array, wanted: Array
+    scene: Scene, state: State, schedule: Schedule, ahead: NodeVectors, differs: NodeValues, wanted: Flag
 ) -> tuple[State, Schedule]:
     """Rebuild the active set if the next explicit step may leave it; return the state and the schedule.
 
@@ -203,7 +204,7 @@ def with_active(
     return state, schedule._replace(lists=lists._replace(active=active))
 
 
-def unlisted_turn(scene: Scene, x: Array) -> Array:
+def unlisted_turn(scene: Scene, x: NodeVectors) -> Scalar:
     """Return the largest turn in rad of the ways at nodes that the lists leave out, at positions `x` (n, 3).
 
     If an upper bound is below `DUE_TURN`, the result is that bound; without contact it is 0.
@@ -215,8 +216,8 @@ def unlisted_turn(scene: Scene, x: Array) -> Array:
 
 
 def largest_move(
-    scene: Scene, schedule: Schedule | None, x: Array, ahead: Array, known: Array | bool = True
-) -> Array:
+    scene: Scene, schedule: Schedule | None, x: NodeVectors, ahead: NodeVectors, known: Flag | bool = True
+) -> Scalar:
     """Return the share of the path from `x` to `ahead` (n, 3) that one step may take.
 
     It is less if the path is not `known` from earlier steps. Lists for a longer step would be too long.
@@ -230,8 +231,8 @@ def largest_move(
 
 
 def ready_for(
-    scene: Scene, state: State, schedule: Schedule | None, ahead: Array, differs: Array | float = 0.0
-) -> tuple[State, Schedule, Array]:
+    scene: Scene, state: State, schedule: Schedule | None, ahead: NodeVectors, differs: Scalar | float = 0.0
+) -> tuple[State, Schedule, Flag]:
     """Check whether the lists cover the next step; if not, request what must precede it.
 
     This is a rebuild of one or both lists, or, if pairs lack entries in the matrix, work of the host: the
@@ -272,8 +273,8 @@ def ready_for(
 
 
 def _status(
-    scene: Scene, state: State, schedule: Schedule, ahead: Array, margin: Array, loose: Array
-) -> Array:
+    scene: Scene, state: State, schedule: Schedule, ahead: NodeVectors, margin: Scalar, loose: Flag
+) -> Count:
     """Return what must precede a step from the state to `ahead` (n, 3) with the `margin` in m, as
     `ListStatus`; `loose`: whether the skin of the site pairs is much larger than needed."""
     contact, listing, lists = scene.contact, state.listing, schedule.lists
@@ -296,7 +297,9 @@ def _status(
     return jnp.select(list(reasons.values()), [status.array for status in reasons], ListStatus.READY.array)
 
 
-def still_ready(scene: Scene, state: State, schedule: Schedule | None, ahead: Array, differs: Array) -> Array:
+def still_ready(
+    scene: Scene, state: State, schedule: Schedule | None, ahead: NodeVectors, differs: NodeValues
+) -> Flag:
     """Return whether the lists cover one more explicit step.
 
     It is False for the first step of the stage: the lists of another stage, with longer steps, are too long.
@@ -313,7 +316,7 @@ def still_ready(scene: Scene, state: State, schedule: Schedule | None, ahead: Ar
     return holds & (schedule.turn < DUE_TURN) & (state.monitor.steps > 0)
 
 
-def ready_to_restore(scene: Scene, state: State, schedule: Schedule | None) -> tuple[Schedule, Array]:
+def ready_to_restore(scene: Scene, state: State, schedule: Schedule | None) -> tuple[Schedule, Flag]:
     """Check whether the lists are those for recomputing the factor of the lagged tangent, else request them.
 
     **Returns:** the schedule, and whether the factor can be computed now.
@@ -326,25 +329,27 @@ def ready_to_restore(scene: Scene, state: State, schedule: Schedule | None) -> t
     return schedule._replace(status=status), ready
 
 
-def _far(contact: Contact, schedule: Schedule) -> Array:
+def _far(contact: Contact, schedule: Schedule) -> Flag:
     """Return whether the list of site pairs is for a step that is longer than steps near contact may be."""
     return ~schedule.short & (jnp.max(schedule.pairs.skin) > LONGEST * contact.range)
 
 
-def _have_entries(scene: Scene, schedule: Schedule) -> Array:
+def _have_entries(scene: Scene, schedule: Schedule) -> Flag:
     """Return whether all pairs have entries in the matrix; True without such a matrix."""
     blocks = listed(scene, schedule).sparsity.contact
     return jnp.asarray(True) if blocks is None else blocks.placed()
 
 
-def _made(schedule: Schedule) -> Array:
+def _made(schedule: Schedule) -> Flag:
     """Return whether the lists were built for the requested motions."""
     lists = schedule.lists
     made = lists.candidates.reference.equals(schedule.candidates)
     return made & lists.pairs.reference.equals(schedule.pairs)
 
 
-def _pair_reference(contact: Contact, x: Array, ahead: Array, moved: Array, margin: Array) -> Reference:
+def _pair_reference(
+    contact: Contact, x: NodeVectors, ahead: NodeVectors, moved: NodeValues, margin: Scalar
+) -> Reference:
     """Return the motions that the site pairs must cover in the next steps from positions `x` (n, 3).
 
     The first step goes to `ahead` (n, 3) and moves nodes by `moved` (n,) in m; `margin` in m. The list is
@@ -355,16 +360,16 @@ def _pair_reference(contact: Contact, x: Array, ahead: Array, moved: Array, marg
     return Reference(x + 0.5 * steps * (ahead - x), skin)
 
 
-def _comes_through(wall: Wall, state: State, beyond: Array) -> Array:
+def _comes_through(wall: Wall, state: State, beyond: Bool[Array, " nodes"]) -> Flag:
     """Return whether some of the nodes `beyond` (n,) a wall after a step were on its near side before."""
 
-    def before() -> Array:
+    def before() -> Flag:
         return jnp.any(beyond & (wall.gap(state.x, state.t) >= 0))
 
     return jax.lax.cond(jnp.any(beyond), before, lambda: jnp.asarray(False))
 
 
-def passes(scene: Scene, state: State, x: Array, t: Array, turn: Array) -> Array:
+def passes(scene: Scene, state: State, x: NodeVectors, t: Scalar, turn: Scalar) -> Flag:
     """Return whether to reject a step to positions `x` (n, 3) at time `t` in s.
 
     It is rejected if it would pass through a wall or the sheet itself, or leaves the motions that the lists

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple, cast
 import diffrax
 import equinox as eqx
 import jax.numpy as jnp
-from jax import Array
 
+from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeVectors, Scalar
 from jaxcrumple._jax.batched_cond import where_needed
 from jaxcrumple._jax.tree import as_float
 from jaxcrumple.scene import Scene
@@ -22,10 +22,10 @@ class Tried(NamedTuple):
 
     `error`: estimated errors of x, v and p; None for a variable without an estimate."""
 
-    x: Array
-    v: Array
-    p: Array | None
-    error: tuple[Array, Array | None, Array | None]
+    x: NodeVectors
+    v: NodeVectors
+    p: HingeValues | None
+    error: tuple[NodeVectors, NodeVectors | None, HingeValues | None]
     slopes: Slopes
 
 
@@ -35,17 +35,17 @@ class ExplicitAttempt(NamedTuple):
     `error`: local error in units of the tolerance; `cause`: index into `CAUSES`, or -1 for an accepted step;
     `next_h`: next step in s; `turn`: `unlisted_turn` at `x`."""
 
-    x: Array
-    v: Array
-    p: Array | None
+    x: NodeVectors
+    v: NodeVectors
+    p: HingeValues | None
     slopes: Slopes
-    error: Array
-    cause: Array
-    next_h: Array
-    turn: Array
+    error: Scalar
+    cause: Count
+    next_h: Scalar
+    turn: Scalar
 
     @property
-    def accepted(self) -> Array:
+    def accepted(self) -> Flag:
         """Return whether the step is accepted."""
         return self.cause < 0
 
@@ -58,31 +58,31 @@ class AbstractExplicit(eqx.Module):
     - `safety`: largest step as a share of the estimated stability limit.
     """
 
-    rtol: Array
-    safety: Array = eqx.field(default=0.8, converter=as_float)
+    rtol: Scalar
+    safety: Scalar = eqx.field(default=0.8, converter=as_float)
     # Order of the method, and order in the step size of its local error estimate.
     order: eqx.AbstractClassVar[int]
     error_order: eqx.AbstractClassVar[int]
 
     @staticmethod
     @abc.abstractmethod
-    def stable(motion: Fastest) -> Array:
+    def stable(motion: Fastest) -> Scalar:
         """Return the largest stable step in s."""
 
     @abc.abstractmethod
-    def step(self, scene: Scene, state: State, h: Array) -> Tried:
+    def step(self, scene: Scene, state: State, h: Scalar) -> Tried:
         """Make a step of `h` s from a state whose slopes are known."""
 
     @staticmethod
     @abc.abstractmethod
     def advance(
-        scene: Scene, t: Array, h: Array, x: Array, v: Array, p: Array | None
-    ) -> tuple[Array, Array, Array | None]:
+        scene: Scene, t: Scalar, h: Scalar, x: NodeVectors, v: NodeVectors, p: HingeValues | None
+    ) -> tuple[NodeVectors, NodeVectors, HingeValues | None]:
         """Return positions and velocities (n, 3) and p after a step of `h` s from time `t`.
 
         The result equals that of `step`, without the error estimate; `replay` differentiates it."""
 
-    def attempt(self, scene: Scene, state: State, h: Array, cap: Array) -> ExplicitAttempt:
+    def attempt(self, scene: Scene, state: State, h: Scalar, cap: Scalar) -> ExplicitAttempt:
         """Try a step of `h` s from a state whose slopes are known; the next step is at most `cap` s."""
         tried, t1 = self.step(scene, state, h), state.t + h
         units = self._units(scene, tried.error)
@@ -98,13 +98,15 @@ class AbstractExplicit(eqx.Module):
         cause = jnp.where(good, jnp.where(stopped, CAUSES.index("contact"), -1), cause)
         return ExplicitAttempt(tried.x, tried.v, tried.p, tried.slopes, units, cause, next_h, turn)
 
-    def _units(self, scene: Scene, error: tuple[Array, Array | None, Array | None]) -> Array:
+    def _units(
+        self, scene: Scene, error: tuple[NodeVectors, NodeVectors | None, HingeValues | None]
+    ) -> Scalar:
         """Return the error in units of the tolerance."""
-        scales: tuple[Array, ...] = (scene.length_scale, scene.velocity_scale, jnp.asarray(2.0))
+        scales: tuple[Scalar, ...] = (scene.length_scale, scene.velocity_scale, jnp.asarray(2.0))
         parts = [jnp.max(jnp.abs(e)) / scale for e, scale in zip(error, scales, strict=True) if e is not None]
         return jnp.max(jnp.stack(parts)) / self.rtol
 
-    def _resized(self, units: Array, t: Array, h: Array, cap: Array) -> tuple[Array, Array]:
+    def _resized(self, units: Scalar, t: Scalar, h: Scalar, cap: Scalar) -> tuple[Flag, Scalar]:
         """Return whether the error `units` allows the step, and the next step in s."""
         controller = diffrax.PIDController(rtol=0.0, atol=1.0, dtmax=cap)
         # An integral controller has no memory, so that each step initialises it. It needs the error alone,
@@ -117,14 +119,14 @@ class AbstractExplicit(eqx.Module):
         return jnp.asarray(keep), jnp.asarray(end - start)
 
 
-def with_slopes(scene: Scene, state: State, wanted: Array | bool = True) -> State:
+def with_slopes(scene: Scene, state: State, wanted: Flag | bool = True) -> State:
     """Compute the slopes of the state if they are `wanted` and no step has computed them."""
     due = wanted & ~state.slopes.known
     slopes = where_needed(due, slopes_at, state.slopes, scene, state.x, state.v, state.p, state.t)
     return eqx.tree_at(lambda s: s.slopes, state, slopes)
 
 
-def slopes_at(scene: Scene, x: Array, v: Array, p: Array | None, t: Array) -> Slopes:
+def slopes_at(scene: Scene, x: NodeVectors, v: NodeVectors, p: HingeValues | None, t: Scalar) -> Slopes:
     """Compute the time derivatives of `v` (n, 3) and `p` (h,) at positions `x` (n, 3) and time `t`."""
     _, acceleration, flow = rates(scene, x, v, p, t)
     return Slopes(acceleration, flow, jnp.asarray(True))

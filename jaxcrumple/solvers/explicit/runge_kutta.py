@@ -1,13 +1,14 @@
 """Kutta's 3/8 rule with an embedded third-order method: the paper's explicit stage."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Array, Float
 
+from jaxcrumple._jax.arrays import Count, HingeValues, NodeVectors, Scalar
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.explicit.base import AbstractExplicit, Tried
 from jaxcrumple.solvers.explicit.stability import Fastest
@@ -34,10 +35,13 @@ class RK43(diffrax.AbstractERK):
     )
     interpolation_cls = diffrax.ThirdOrderHermitePolynomialInterpolation.from_k
 
-    def order(self, terms) -> int:
+    def order(self, terms: Any) -> int:
         """Return the order of the solution."""
         return 4
 
+
+# Positions, velocities and rest curvatures, or their time derivatives.
+_Unknowns = tuple[NodeVectors, NodeVectors, HingeValues | None]
 
 # Times and tableau rows of the stages that the solution needs (without the stage of the error estimate).
 _TIMES = np.append(0.0, RK43.tableau.c[:-1])
@@ -46,7 +50,7 @@ for _number, _row in enumerate(RK43.tableau.a_lower[:-1], 1):
     _STAGES[_number, : len(_row)] = _row
 
 
-def _field(t, y, scene: Scene):
+def _field(t: Any, y: _Unknowns, scene: Scene) -> _Unknowns:
     x, v, p = y
     return rates(scene, x, v, p, t)
 
@@ -62,11 +66,11 @@ class RungeKutta(AbstractExplicit):
     error_order: ClassVar[int] = 4
 
     @staticmethod
-    def stable(motion: Fastest) -> Array:
+    def stable(motion: Fastest) -> Scalar:
         """Return the largest stable step in s."""
         return STABILITY / jnp.maximum(motion.omega, motion.damping + motion.drag)
 
-    def step(self, scene: Scene, state: State, h: Array) -> Tried:
+    def step(self, scene: Scene, state: State, h: Scalar) -> Tried:
         """Make a step of `h` s from a state whose slopes are known."""
         y0, t1 = (state.x, state.v, state.p), state.t + h
         # With supports the last stage of the previous step cannot be reused: it precedes their correction.
@@ -81,15 +85,15 @@ class RungeKutta(AbstractExplicit):
 
     @staticmethod
     def advance(
-        scene: Scene, t: Array, h: Array, x: Array, v: Array, p: Array | None
-    ) -> tuple[Array, Array, Array | None]:
+        scene: Scene, t: Scalar, h: Scalar, x: NodeVectors, v: NodeVectors, p: HingeValues | None
+    ) -> tuple[NodeVectors, NodeVectors, HingeValues | None]:
         """Return positions and velocities (n, 3) and p after a step of `h` s from time `t`."""
         y = (x, v, p)
 
-        def moved(slopes, weights: Array):
+        def moved(slopes: Any, weights: Float[Array, " stages"]) -> _Unknowns:
             return jax.tree.map(lambda y, k: y + h * jnp.tensordot(weights, k, 1), y, slopes)
 
-        def stage(slopes, row: tuple[Array, Array, Array]):
+        def stage(slopes: Any, row: tuple[Count, Scalar, Float[Array, " stages"]]) -> tuple[Any, None]:
             number, c, weights = row
             x, v, p = moved(slopes, weights)
             slope = rates(scene, x, v, p, t + c * h)

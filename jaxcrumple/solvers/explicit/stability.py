@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import Array
-from jax.typing import ArrayLike
+from jaxtyping import Array, Float
 
+from jaxcrumple._jax.arrays import HingeValues, NodeValues, NodeVectors, Scalar, ScalarLike
 from jaxcrumple.contact.energy import nearer_product
 from jaxcrumple.scene import Scene
 from jaxcrumple.state import Limit
@@ -20,17 +20,20 @@ STEPS = 8
 # The norm of a matrix to the power 2^SQUARINGS gives its largest eigenvalue to 0.3 %.
 SQUARINGS = 9
 
+# Last two vectors of Lanczos's method, and the length of the last residual.
+_Lanczos = tuple[Float[Array, " unknowns"], Float[Array, " unknowns"], Scalar]
+
 
 class Fastest(NamedTuple):
     """Hold bounds in 1/s of the largest frequency `omega`, and of the decay rates of internal `damping` and
     `drag`."""
 
-    omega: Array
-    damping: Array
-    drag: Array
+    omega: Scalar
+    damping: Scalar
+    drag: Scalar
 
 
-def fastest(scene: Scene, x: Array, t: ArrayLike = 0.0, p: Array | None = None) -> Fastest:
+def fastest(scene: Scene, x: NodeVectors, t: ScalarLike = 0.0, p: HingeValues | None = None) -> Fastest:
     """Bound frequency and decay rates at positions `x` (n, 3), time `t` and rest curvatures `p` (h,).
 
     `p` None: the rest curvatures of the undamaged sheet. The bound comes from the assembled elastic tangent,
@@ -45,7 +48,7 @@ def fastest(scene: Scene, x: Array, t: ArrayLike = 0.0, p: Array | None = None) 
     )
     pushed = _contact_product(scene, x)
 
-    def product(u: Array) -> Array:
+    def product(u: Float[Array, " unknowns"]) -> Float[Array, " unknowns"]:
         u = root * u
         forces = own.sparsity.expanded_product(rows, u)
         return root * (forces if pushed is None else forces + pushed(u.reshape(x.shape)).reshape(-1))
@@ -64,17 +67,19 @@ def _alone(scene: Scene) -> Scene:
     return dataclasses.replace(scene, contact=None, lists=None)
 
 
-def _contact_product(scene: Scene, x: Array) -> Callable[[Array], Array] | None:
+def _contact_product(scene: Scene, x: NodeVectors) -> Callable[[NodeVectors], NodeVectors] | None:
     """Return the product with the tangent of contact, as `nearer_product` does; None without contact."""
     return None if scene.contact is None else nearer_product(scene.contact, scene.own_lists, x)
 
 
-def wall_stiffness(scene: Scene, x: Array, t: ArrayLike) -> Array:
+def wall_stiffness(scene: Scene, x: NodeVectors, t: ScalarLike) -> NodeValues:
     """Bound the stiffness (n,) in N/m of the walls at each node, at positions `x` (n, 3) and time `t`."""
     return sum((wall.stiffness_bound(x, jnp.asarray(t)) for wall in scene.walls), jnp.zeros(scene.n_nodes))
 
 
-def beside_walls(scene: Scene, limit: Limit, x: Array, t: Array, stable: Callable[[Fastest], Array]) -> Array:
+def beside_walls(
+    scene: Scene, limit: Limit, x: NodeVectors, t: Scalar, stable: Callable[[Fastest], Scalar]
+) -> Scalar:
     """Return the largest stable step in s at positions `x` (n, 3) and time `t`.
 
     It reduces the measured `limit` by the walls that became stiffer after its measurement; `stable` gives the
@@ -93,14 +98,16 @@ def beside_walls(scene: Scene, limit: Limit, x: Array, t: Array, stable: Callabl
     return limit.step * 2.0 / (1.0 + jnp.sqrt(1.0 + 4.0 * share))
 
 
-def largest_eigenvalue(product: Callable[[Array], Array], size: int) -> Array:
+def largest_eigenvalue(
+    product: Callable[[Float[Array, " unknowns"]], Float[Array, " unknowns"]], size: int
+) -> Scalar:
     """Bound the largest eigenvalue of a symmetric matrix, given its `product` with vectors (`size`,).
 
     The bound is the largest Ritz value of a few Lanczos steps from a fixed random vector, plus the norm of
     the last residual (Zhou & Li, Linear Algebra Appl. 435, 2011, 480). It is 0 if no eigenvalue is positive.
     """
 
-    def step(carry: tuple[Array, Array, Array], _: None) -> tuple[tuple[Array, Array, Array], Array]:
+    def step(carry: _Lanczos, _: None) -> tuple[_Lanczos, Float[Array, "2"]]:
         before, u, length = carry
         image = product(u) - length * before
         along = u @ image
@@ -115,7 +122,7 @@ def largest_eigenvalue(product: Callable[[Array], Array], size: int) -> Array:
     return jnp.maximum(_largest(inner) + length[-1], 0.0)
 
 
-def _largest(a: Array) -> Array:
+def _largest(a: Float[Array, "rows rows"]) -> Scalar:
     """Compute the largest eigenvalue of a small symmetric matrix (k, k) from its powers, slightly too large.
 
     It avoids LAPACK: XLA runs a batch of such calls on its thread pool and waits there, so that two

@@ -3,8 +3,8 @@
 from typing import ClassVar
 
 import jax.numpy as jnp
-from jax import Array
 
+from jaxcrumple._jax.arrays import HingeValues, NodeVectors, Scalar
 from jaxcrumple.geometry.hinge import curvature
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.explicit.base import AbstractExplicit, Tried, slopes_at
@@ -28,7 +28,7 @@ class Verlet(AbstractExplicit):
     error_order: ClassVar[int] = 3
 
     @staticmethod
-    def stable(motion: Fastest) -> Array:
+    def stable(motion: Fastest) -> Scalar:
         """Return the largest stable step in s.
 
         It is $\\frac{2}{\\omega}(\\sqrt{1 + \\zeta^2} - \\zeta)$, with damping ratio $\\zeta$ of the fastest
@@ -36,7 +36,7 @@ class Verlet(AbstractExplicit):
         ratio = 0.5 * motion.damping / motion.omega
         return 2.0 / (motion.omega * (jnp.sqrt(1.0 + ratio * ratio) + ratio))
 
-    def step(self, scene: Scene, state: State, h: Array) -> Tried:
+    def step(self, scene: Scene, state: State, h: Scalar) -> Tried:
         """Make a step of `h` s from a state whose slopes are known."""
         x, v, p, slopes = verlet(scene, state.t, h, state.x, state.v, state.p, state.slopes)
         by_x = h * h / 6.0 * (slopes.acceleration - state.slopes.acceleration)
@@ -47,16 +47,16 @@ class Verlet(AbstractExplicit):
 
     @staticmethod
     def advance(
-        scene: Scene, t: Array, h: Array, x: Array, v: Array, p: Array | None
-    ) -> tuple[Array, Array, Array | None]:
+        scene: Scene, t: Scalar, h: Scalar, x: NodeVectors, v: NodeVectors, p: HingeValues | None
+    ) -> tuple[NodeVectors, NodeVectors, HingeValues | None]:
         """Return positions and velocities (n, 3) and p after a step of `h` s from time `t`."""
         x, v, p, _ = verlet(scene, t, h, x, v, p, slopes_at(scene, x, v, p, t))
         return x, v, p
 
 
 def verlet(
-    scene: Scene, t: Array, h: Array, x: Array, v: Array, p: Array | None, slopes: Slopes
-) -> tuple[Array, Array, Array | None, Slopes]:
+    scene: Scene, t: Scalar, h: Scalar, x: NodeVectors, v: NodeVectors, p: HingeValues | None, slopes: Slopes
+) -> tuple[NodeVectors, NodeVectors, HingeValues | None, Slopes]:
     """Return positions and velocities (n, 3), p and slopes after a step of `h` s.
 
     `slopes`: derivatives at the start of the step, time `t`."""
@@ -70,7 +70,7 @@ def verlet(
         flow = flows.rate(c, p)
     at_rest = force_at_rest(scene, hinges, x, p, end)
 
-    def dashed(v: Array) -> Array:
+    def dashed(v: NodeVectors) -> NodeVectors:
         return at_rest if scene.damping is None else at_rest + scene.damping.force(x, v)
 
     mass = scene.mass[:, None]

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax import Array
 
+from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeVectors, Scalar
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.contact.schedule import passes, unlisted_turn
 from jaxcrumple.solvers.implicit.newton import NewtonSolution
@@ -36,24 +36,24 @@ class ImplicitAttempt(NamedTuple):
     so that the other fields are meaningless.
     """
 
-    x: Array
-    v: Array
-    p: Array | None
-    acceleration: Array
-    error: Array
-    cause: Array
-    order: Array
-    next_h: Array
-    next_order: Array
+    x: NodeVectors
+    v: NodeVectors
+    p: HingeValues | None
+    acceleration: NodeVectors
+    error: Scalar
+    cause: Count
+    order: Count
+    next_h: Scalar
+    next_order: Count
     factor: Factor
     kept: Linearization
-    newton: Array
-    linear: Array
-    factors: Array
-    restored: Array
+    newton: Count
+    linear: Count
+    factors: Count
+    restored: Flag
 
     @property
-    def accepted(self) -> Array:
+    def accepted(self) -> Flag:
         """Return whether the step is accepted."""
         return self.cause < 0
 
@@ -61,30 +61,32 @@ class ImplicitAttempt(NamedTuple):
 class AbstractImplicit(eqx.Module):
     """Define a formula of the implicit stages."""
 
-    rtol: eqx.AbstractVar[Array]
+    rtol: eqx.AbstractVar[Scalar]
     linear: eqx.AbstractVar[AbstractLinearSolver]
 
     @abc.abstractmethod
-    def predict(self, scene: Scene, state: State, h: Array) -> Array:
+    def predict(self, scene: Scene, state: State, h: Scalar) -> NodeVectors:
         """Predict the positions (n, 3) after a step of `h` s from the history."""
 
     @abc.abstractmethod
-    def differs(self, scene: Scene, state: State, h: Array) -> Array:
+    def differs(self, scene: Scene, state: State, h: Scalar) -> Scalar:
         """Bound the distance in m of a node from `predict` after an accepted step; 0 if unknown."""
 
     @abc.abstractmethod
-    def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array) -> ImplicitAttempt:
+    def attempt(self, scene: Scene, state: State, h: Scalar, factor: Factor, held: Flag) -> ImplicitAttempt:
         """Try a step of `h` s in the state's stage.
 
         `held`: whether `factor` is the factor of the tangent `state.kept`."""
 
 
-def aligns(state: State) -> Array:
+def aligns(state: State) -> Flag:
     """Return whether the next step is a quasistatic start, which only aligns the velocity with the forces."""
     return (state.history.count == 0) & (state.stage != IMPLICIT)
 
 
-def judge(scene: Scene, state: State, solution: NewtonSolution, x: Array, t: Array, error: Array) -> Array:
+def judge(
+    scene: Scene, state: State, solution: NewtonSolution, x: NodeVectors, t: Scalar, error: Scalar
+) -> Count:
     """Return the cause (index into `CAUSES`) to reject the step to `x` at time `t`, or -1 to accept it."""
     before = scene.bending.hinges(state.x).theta
     after = scene.bending.hinges(x).theta
@@ -105,7 +107,7 @@ def judge(scene: Scene, state: State, solution: NewtonSolution, x: Array, t: Arr
     return jnp.where(finite & solution.indefinite, CAUSES.index("unstable"), cause)
 
 
-def resized(h: Array, order: Array, error: Array, cause: Array, judged: Array | None = None) -> Array:
+def resized(h: Scalar, order: Count, error: Scalar, cause: Count, judged: Count | None = None) -> Scalar:
     """Return the step size in s after an attempt: from its error, or reduced by CUT after another failure.
 
     `order`: order of the next step; `judged`: order of the solution that `error` belongs to (None: `order`).

@@ -3,18 +3,19 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Float
 
+from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeVectors, Scalar
 from jaxcrumple.scene import Scene
 from jaxcrumple.state import HISTORY, History, ImplicitStep, Points, implicit_step
 
 
-def _lags(h: Array, steps: Array) -> Array:
+def _lags(h: Scalar, steps: Float[Array, " points"]) -> Float[Array, " points"]:
     """Return the time (6,) in s from each point of the history to the new time."""
     return h + jnp.concatenate([jnp.zeros(1, steps.dtype), jnp.cumsum(steps[:-1])])
 
 
-def extrapolation(h: Array, steps: Array, points: Array) -> Array:
+def extrapolation(h: Scalar, steps: Float[Array, " points"], points: Count) -> Float[Array, " points"]:
     """Return the weights (6,) at the new time of the Lagrange predictor through the newest `points`."""
     lags = _lags(h, steps)
     used = jnp.arange(HISTORY) < points
@@ -23,7 +24,9 @@ def extrapolation(h: Array, steps: Array, points: Array) -> Array:
     return jnp.where(used, jnp.prod(jnp.where(other, ratio, 1.0), axis=1), 0.0)
 
 
-def coefficients(h: Array, steps: Array, order: Array) -> tuple[Array, Array]:
+def coefficients(
+    h: Scalar, steps: Float[Array, " points"], order: Count
+) -> tuple[Float[Array, " points"], Scalar]:
     """Compute the BDF coefficients of eq. (39), the derivative of the interpolant at the new time.
 
     **Arguments:** `h`: new step in s; `steps` (6,): past steps in s; `order`: 1 ... 6 (may be traced).
@@ -37,7 +40,7 @@ def coefficients(h: Array, steps: Array, order: Array) -> tuple[Array, Array]:
     return -extrapolation(h, steps, order) / lags * beta_h, beta_h
 
 
-def error_constant(h: Array, steps: Array, order: Array) -> Array:
+def error_constant(h: Scalar, steps: Float[Array, " points"], order: Count) -> Scalar:
     """Return the local error of BDF `order` as a share of (solution - predictor through order + 1 points).
 
     Both are the divided difference of order + 2 points times a polynomial in the steps. Their ratio is
@@ -53,7 +56,7 @@ REACH = (1.0 / 12.0, 2.0 / 3.0, 2.3272)
 REACH_MARGIN = 1.2
 
 
-def damped_order(h: Array, decay: Array) -> Array:
+def damped_order(h: Scalar, decay: Scalar) -> Count:
     """Return the largest order of BDF, 2 to 5, that is stable with inertia at steps of `h` s.
 
     `decay` in 1/s: decay rate of the least damped vibration. With drag proportional to mass,
@@ -71,12 +74,12 @@ class TwoStep(NamedTuple):
     error as a share of (solution - predictor). The predictor uses three points, or an Euler step at order 1.
     """
 
-    alpha: Array
-    beta_h: Array
-    error: Array
+    alpha: Float[Array, " points"]
+    beta_h: Scalar
+    error: Scalar
 
 
-def two_step(h: Array, steps: Array, order: Array, theta: Array) -> TwoStep:
+def two_step(h: Scalar, steps: Float[Array, " points"], order: Count, theta: Scalar) -> TwoStep:
     """Compute a one-leg method of order 1 or 2 for stages with inertia, A-stable for theta in [1/2, 1].
 
     The derivative at $t_0 + \\theta h$ of the parabola through the new point and the last two points equals
@@ -107,19 +110,21 @@ class Formula(NamedTuple):
     share of corrector - predictor.
     """
 
-    alpha: Array
-    beta_h: Array
-    theta: Array
-    inertia: Array | None
-    share: Array
+    alpha: Float[Array, " points"]
+    beta_h: Scalar
+    theta: Scalar
+    inertia: Scalar | None
+    share: Scalar
 
-    def equations(self, scene: Scene, history: Points, t: Array, h: Array) -> ImplicitStep:
+    def equations(self, scene: Scene, history: Points, t: Scalar, h: Scalar) -> ImplicitStep:
         """Return the equations of a step of `h` s from time `t`."""
         when = t + self.theta * h
         return implicit_step(scene, history, self.alpha, self.beta_h, when, self.inertia)
 
 
-def step_formula(h: Array, steps: Array, order: Array, moves: Array | None, rho_infinity: Array) -> Formula:
+def step_formula(
+    h: Scalar, steps: Float[Array, " points"], order: Count, moves: Flag | None, rho_infinity: Scalar
+) -> Formula:
     """Return the formula of a step of `h` s and of `order`, after past `steps` (6,) in s.
 
     It is the two-step family for steps of order 1 or 2 with inertia (`moves`), and BDF for others. `moves`
@@ -136,10 +141,14 @@ def step_formula(h: Array, steps: Array, order: Array, moves: Array | None, rho_
     return Formula(alpha, beta_h, theta, jnp.where(moves, 1.0, 0.0), share)
 
 
-def push(history: History, h: Array, x: Array, v: Array, p: Array | None, order: Array) -> History:
+def push(
+    history: History, h: Scalar, x: NodeVectors, v: NodeVectors, p: HingeValues | None, order: Count
+) -> History:
     """Insert a new accepted point at the front of the history."""
 
-    def shift(past: Array, new: Array) -> Array:
+    def shift(
+        past: Float[Array, " points *axes"], new: Float[Array, " *axes"]
+    ) -> Float[Array, " points *axes"]:
         return jnp.concatenate([new[None], past[:-1]])
 
     past = None if history.p is None or p is None else shift(history.p, p)

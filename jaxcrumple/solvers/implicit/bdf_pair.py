@@ -2,8 +2,8 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax import Array
 
+from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeVectors, Scalar
 from jaxcrumple._jax.tree import as_float
 from jaxcrumple.geometry.hinge import curvature
 from jaxcrumple.scene import Scene
@@ -32,23 +32,23 @@ class BDFPair(AbstractImplicit):
     integrates snaps. Fields as in `VariableOrder`.
     """
 
-    rtol: Array
+    rtol: Scalar
     linear: AbstractLinearSolver
-    newton_share: Array = eqx.field(default=0.05, converter=as_float)
+    newton_share: Scalar = eqx.field(default=0.05, converter=as_float)
     max_iterations: int = eqx.field(static=True, default=8)
 
-    def predict(self, scene: Scene, state: State, h: Array) -> Array:
+    def predict(self, scene: Scene, state: State, h: Scalar) -> NodeVectors:
         """Predict the positions (n, 3) after a step of `h` s from the history."""
         history = state.history
         points = jnp.clip(history.count, 1, PREDICTOR_POINTS)
         guess = jnp.tensordot(extrapolation(h, history.steps, points), history.x, 1)
         return guess if scene.prescribed is None else scene.prescribed.position(guess, state.t + h)
 
-    def differs(self, scene: Scene, state: State, h: Array) -> Array:
+    def differs(self, scene: Scene, state: State, h: Scalar) -> Scalar:
         """Return 0, unknown: the error estimate does not use the predictor."""
         return jnp.zeros(())
 
-    def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array) -> ImplicitAttempt:
+    def attempt(self, scene: Scene, state: State, h: Scalar, factor: Factor, held: Flag) -> ImplicitAttempt:
         """Try a step of `h` s."""
         history = state.history
         order = jnp.clip(history.count, 1, ORDER)
@@ -72,12 +72,14 @@ class BDFPair(AbstractImplicit):
             solution.factors + second.factors, solution.restored,
         )  # fmt: skip
 
-    def _newton(self, scene: Scene, step: ImplicitStep, guess: Array, factor: Factor) -> NewtonSolution:
+    def _newton(self, scene: Scene, step: ImplicitStep, guess: NodeVectors, factor: Factor) -> NewtonSolution:
         tolerance = self.newton_share * LOCAL_SHARE * self.rtol * scene.length_scale
         yes = jnp.asarray(True)
         return newton(scene, step, guess, self.linear, factor, tolerance, self.max_iterations, None, yes)
 
-    def _first_error(self, scene: Scene, state: State, step: ImplicitStep, x, h, factor: Factor) -> Array:
+    def _first_error(
+        self, scene: Scene, state: State, step: ImplicitStep, x: NodeVectors, h: Scalar, factor: Factor
+    ) -> NodeVectors:
         """Return half the difference from an explicit Euler step; a solve with the tangent removes the modes
         that decay within the step."""
         euler = 0.5 * (x - state.x - jnp.where(aligns(state), 0.0, h) * state.v)
@@ -87,7 +89,17 @@ class BDFPair(AbstractImplicit):
         filtered = self.linear.solve(scene.sparsity, factor, None, pull, FORCING).x
         return jnp.where(aligns(state), euler, filtered.reshape(x.shape))
 
-    def _error(self, scene: Scene, state: State, h, order, upper, lower, second, first_step) -> Array:
+    def _error(
+        self,
+        scene: Scene,
+        state: State,
+        h: Scalar,
+        order: Count,
+        upper: tuple[NodeVectors, HingeValues | None],
+        lower: ImplicitStep,
+        second: NewtonSolution,
+        first_step: NodeVectors,
+    ) -> Scalar:
         """Return the difference of the two solutions in units of the tolerance.
 
         At order 1 it is the difference from an explicit Euler step."""
@@ -100,10 +112,10 @@ class BDFPair(AbstractImplicit):
         _, p_lower = residual(scene, lower, second.x)
         c = curvature(scene.bending.hinges(state.x).theta)
         flow = 0.5 * (p - state.p - h * scene.plasticity.rate(c, state.p))
-        rest = jnp.where(order == 1, flow, p_lower - p)
+        rest = jnp.where(order == 1, flow, p_lower - p)  # type: ignore[operator]
         return jnp.maximum(position, 0.5 * jnp.max(jnp.abs(rest))) / share
 
 
-def _equations(scene: Scene, state: State, h: Array, order: Array) -> ImplicitStep:
+def _equations(scene: Scene, state: State, h: Scalar, order: Count) -> ImplicitStep:
     alpha, beta_h = coefficients(h, state.history.steps, order)
     return implicit_step(scene, state.history, alpha, beta_h, state.t + h)

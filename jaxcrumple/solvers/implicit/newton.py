@@ -5,8 +5,9 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Float
 
+from jaxcrumple._jax.arrays import Count, Flag, NodeVectors, Scalar
 from jaxcrumple._jax.batched_cond import where_needed
 from jaxcrumple._jax.tree import select
 from jaxcrumple.scene import Scene
@@ -36,41 +37,41 @@ class NewtonSolution(NamedTuple):
     call only recomputed a missing factor.
     """
 
-    x: Array
+    x: NodeVectors
     factor: Factor
     kept: Linearization | None
-    iterations: Array
-    linear: Array
-    factors: Array
-    converged: Array
-    indefinite: Array
-    restored: Array
+    iterations: Count
+    linear: Count
+    factors: Count
+    converged: Flag
+    indefinite: Flag
+    restored: Flag
 
 
 class _Carry(NamedTuple):
-    x: Array
+    x: NodeVectors
     factor: Factor
     kept: Linearization
-    iterations: Array
-    linear: Array
-    factors: Array
-    update: Array
-    renew: Array
-    converged: Array
-    failed: Array
-    indefinite: Array
+    iterations: Count
+    linear: Count
+    factors: Count
+    update: Scalar
+    renew: Flag
+    converged: Flag
+    failed: Flag
+    indefinite: Flag
 
 
 def newton(
     scene: Scene,
     step: ImplicitStep,
-    guess: Array,
+    guess: NodeVectors,
     linear: AbstractLinearSolver,
     factor: Factor,
-    tolerance: Array,
+    tolerance: Scalar,
     max_iterations: int,
     kept: Linearization | None,
-    held: Array,
+    held: Flag,
 ) -> NewtonSolution:
     """Find x with zero residual by Newton's method.
 
@@ -91,7 +92,7 @@ def newton(
         here = select(restores, (old.step, old.x), (step, carry.x))
         return linear.factor(scene.sparsity, linearize(scene, *here)[1], carry.factor)
 
-    def tangent(carry: _Carry) -> tuple[Array | None, Factor]:
+    def tangent(carry: _Carry) -> tuple[Float[Array, " entries"] | None, Factor]:
         if linear.exact:
             factor = jax.lax.cond(carry.renew, renewed, lambda carry: carry.factor, carry)
             return None, factor
@@ -129,7 +130,7 @@ def newton(
             solution.indefinite & ~again,
         )
 
-    def unfinished(carry: _Carry) -> Array:
+    def unfinished(carry: _Carry) -> Flag:
         over = carry.converged | carry.failed | (restores & (carry.iterations > 0))
         return ~over & (carry.iterations < max_iterations)
 
@@ -149,19 +150,19 @@ def newton(
     )  # fmt: skip
 
 
-def must_restore(kept: Linearization, held: Array) -> Array:
+def must_restore(kept: Linearization, held: Flag) -> Flag:
     """Return whether the lagged tangent is usable but its factor is missing (not `held`)."""
     return (kept.age < NEVER) & ~held
 
 
-def _usable(step: ImplicitStep, kept: Linearization) -> Array:
+def _usable(step: ImplicitStep, kept: Linearization) -> Flag:
     """Return whether the tangent of an earlier step may serve this step."""
     ratio = step.beta_h / kept.step.beta_h
     alike = (ratio > RATIO) & (ratio * RATIO < 1.0)
     return alike & (kept.age < MOST_STEPS) & (step.inertia * kept.step.inertia > 0)
 
 
-def _relaxation(step: ImplicitStep, kept: Linearization) -> Array:
+def _relaxation(step: ImplicitStep, kept: Linearization) -> Scalar:
     """Return the relaxation factor of an update with the tangent of another step.
 
     The two steps weight inertia differently. The factor minimises the larger of the errors left in modes

@@ -4,8 +4,9 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Float
 
+from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeVectors, Scalar
 from jaxcrumple._jax.batched_cond import where_needed
 from jaxcrumple._jax.tree import as_float, select
 from jaxcrumple.assembly.sparsity import Pattern
@@ -61,30 +62,30 @@ class VariableOrder(AbstractImplicit):
     - `inertia`: whether any stage has inertia; without it, no code for inertia is compiled.
     """
 
-    rtol: Array
+    rtol: Scalar
     linear: AbstractLinearSolver
-    rho_infinity: Array = eqx.field(default=0.0, converter=as_float)
-    inertial_share: Array = eqx.field(default=LOCAL_SHARE, converter=as_float)
-    newton_share: Array = eqx.field(default=0.03, converter=as_float)
+    rho_infinity: Scalar = eqx.field(default=0.0, converter=as_float)
+    inertial_share: Scalar = eqx.field(default=LOCAL_SHARE, converter=as_float)
+    newton_share: Scalar = eqx.field(default=0.03, converter=as_float)
     inertia: bool = eqx.field(static=True, default=True)
     max_order: int = eqx.field(static=True, default=5)
     max_iterations: int = eqx.field(static=True, default=8)
 
-    def equations(self, scene: Scene, state: State, h: Array) -> tuple[ImplicitStep, Array]:
+    def equations(self, scene: Scene, state: State, h: Scalar) -> tuple[ImplicitStep, NodeVectors]:
         """Return the equations of a step of `h` s, and the start (n, 3) of Newton's iteration."""
         formula = self._formula(scene, state, h)
         return formula.step, _start(formula, state, _predicted(scene, state, h, formula.orders.used))
 
-    def predict(self, scene: Scene, state: State, h: Array) -> Array:
+    def predict(self, scene: Scene, state: State, h: Scalar) -> NodeVectors:
         """Predict the positions (n, 3) after a step of `h` s from the history."""
         return _predicted(scene, state, h, self._orders(scene, state, h).used)
 
-    def differs(self, scene: Scene, state: State, h: Array) -> Array:
+    def differs(self, scene: Scene, state: State, h: Scalar) -> Scalar:
         """Bound the distance in m of a node from `predict` after an accepted step."""
         share = self._formula(scene, state, h).share
         return DIAGONAL * self._allowed(scene, state, h) / share * scene.length_scale
 
-    def attempt(self, scene: Scene, state: State, h: Array, factor: Factor, held: Array) -> ImplicitAttempt:
+    def attempt(self, scene: Scene, state: State, h: Scalar, factor: Factor, held: Flag) -> ImplicitAttempt:
         """Try a step of `h` s in the state's stage."""
         formula = self._formula(scene, state, h)
         theta, step, order = formula.theta, formula.step, formula.orders.used
@@ -108,21 +109,21 @@ class VariableOrder(AbstractImplicit):
             solution.factors, solution.restored,
         )  # fmt: skip
 
-    def _newton_share(self, state: State) -> Array:
+    def _newton_share(self, state: State) -> Scalar:
         """Return `newton_share`, reduced for formulas that conserve energy."""
         if not self.inertia:
             return self.newton_share
         conserves = (state.stage == IMPLICIT) & (self.rho_infinity > 0)
         return jnp.where(conserves, CONSERVING * self.newton_share, self.newton_share)
 
-    def _formula(self, scene: Scene, state: State, h: Array) -> "_Formula":
+    def _formula(self, scene: Scene, state: State, h: Scalar) -> "_Formula":
         orders = self._orders(scene, state, h)
         moves = state.stage == IMPLICIT if self.inertia else None
         formula = step_formula(h, state.history.steps, orders.used, moves, self.rho_infinity)
         step = formula.equations(scene, state.history, state.t, h)
         return _Formula(step, formula.theta, orders, formula.share)
 
-    def _orders(self, scene: Scene, state: State, h: Array) -> "_Orders":
+    def _orders(self, scene: Scene, state: State, h: Scalar) -> "_Orders":
         history = state.history
         highest = jnp.asarray(self.max_order)
         orders = _Orders(jnp.asarray(1), jnp.clip(history.order, 1, highest), highest)
@@ -135,7 +136,7 @@ class VariableOrder(AbstractImplicit):
         inertial = _Orders(jnp.asarray(2), used, stable)
         return select(moves, inertial, orders)
 
-    def _stable_order(self, scene: Scene, h: Array) -> Array:
+    def _stable_order(self, scene: Scene, h: Scalar) -> Count:
         """Return the largest stable order of a step with inertia, at least 2."""
         if scene.drag is None:
             return jnp.asarray(2)
@@ -143,7 +144,9 @@ class VariableOrder(AbstractImplicit):
         largest = jnp.where(self.rho_infinity > 0, 2, max(self.max_order, 2))
         return jnp.minimum(damped_order(h, decay), largest)
 
-    def _filtered(self, scene: Scene, state: State, step: ImplicitStep, change: Array, factor) -> Array:
+    def _filtered(
+        self, scene: Scene, state: State, step: ImplicitStep, change: NodeVectors, factor: Factor
+    ) -> NodeVectors:
         """Return corrector minus predictor, filtered in the first quasistatic step.
 
         The predictor of that step is an explicit Euler step, which overshoots modes that decay within the
@@ -154,13 +157,22 @@ class VariableOrder(AbstractImplicit):
         pull = (scene.drag.coefficient / step.beta_h)[:, None] * change
         first = (state.stage != IMPLICIT) & (state.history.count == 1)
 
-        def solve(pattern: Pattern, factor: Factor, pull: Array) -> Array:
+        def solve(pattern: Pattern, factor: Factor, pull: NodeVectors) -> NodeVectors:
             solution = self.linear.solve(pattern, factor, None, pull.reshape(-1), FORCING)
             return solution.x.reshape(pull.shape)
 
         return where_needed(first, solve, change, scene.sparsity, factor, pull)
 
-    def _errors(self, scene: Scene, state: State, h, formula: "_Formula", x, p, change) -> Array:
+    def _errors(
+        self,
+        scene: Scene,
+        state: State,
+        h: Scalar,
+        formula: "_Formula",
+        x: NodeVectors,
+        p: HingeValues | None,
+        change: NodeVectors,
+    ) -> Float[Array, "3"]:
         """Estimate the local errors (3,) one order below, at, and one above the step's order.
 
         Their unit is the tolerance; the error of an order that cannot be used is infinite."""
@@ -188,7 +200,7 @@ class VariableOrder(AbstractImplicit):
             errors[place] = jnp.where(known, size / allowed, jnp.inf)
         return jnp.stack(errors)
 
-    def _allowed(self, scene: Scene, state: State, h: Array) -> Array:
+    def _allowed(self, scene: Scene, state: State, h: Scalar) -> Scalar:
         """Return the tolerated local error of a step of `h` s, relative to the scales."""
         share = self.inertial_share * _remembered(scene, h)
         allowed = self.rtol * jnp.where(state.stage == IMPLICIT, share, LOCAL_SHARE)
@@ -196,7 +208,7 @@ class VariableOrder(AbstractImplicit):
             return allowed
         return jnp.minimum(allowed, CONTACT_SHARE * scene.contact.range / scene.length_scale)
 
-    def _next(self, h, order, errors, cause) -> tuple[Array, Array]:
+    def _next(self, h: Scalar, order: Count, errors: Float[Array, "3"], cause: Count) -> tuple[Scalar, Count]:
         """Choose the next step and order: those with the longest predicted step."""
         orders = order + jnp.arange(-1, 2)
         reach = jnp.maximum(errors, 1e-10) ** (-1.0 / (orders + 1))
@@ -208,21 +220,21 @@ class VariableOrder(AbstractImplicit):
 class _Orders(NamedTuple):
     """Hold the order of a step, and the lowest and highest order of the next one."""
 
-    lowest: Array
-    used: Array
-    highest: Array
+    lowest: Count
+    used: Count
+    highest: Count
 
 
 class _Formula(NamedTuple):
     """Hold a step's equations, theta and orders, and the error's share of corrector - predictor."""
 
     step: ImplicitStep
-    theta: Array
+    theta: Scalar
     orders: _Orders
-    share: Array
+    share: Scalar
 
 
-def _remembered(scene: Scene, h: Array) -> Array:
+def _remembered(scene: Scene, h: Scalar) -> Scalar:
     """Return the reduction of a step's share of the tolerance if errors of many steps of `h` s add up.
 
     A wave decays as exp(-b t / 2m), and so do the local errors in it. The factor is below 1 if more than
@@ -232,7 +244,7 @@ def _remembered(scene: Scene, h: Array) -> Array:
     return jnp.clip(REMEMBERED / steps, REMEMBERED / MOST_REMEMBERED, 1.0)
 
 
-def _predicted(scene: Scene, state: State, h: Array, order: Array) -> Array:
+def _predicted(scene: Scene, state: State, h: Scalar, order: Count) -> NodeVectors:
     """Extrapolate the positions (n, 3) from the history, or by the velocity if it has one point only."""
     history = state.history
     predicted = jnp.tensordot(extrapolation(h, history.steps, order + 1), history.x, 1)
@@ -241,22 +253,26 @@ def _predicted(scene: Scene, state: State, h: Array, order: Array) -> Array:
     return predicted if scene.prescribed is None else scene.prescribed.position(predicted, state.t + h)
 
 
-def _start(formula: _Formula, state: State, predicted: Array) -> Array:
+def _start(formula: _Formula, state: State, predicted: NodeVectors) -> NodeVectors:
     """Return the predicted unknown of the formula, the weighted mean of new and old positions."""
     return formula.theta * predicted + (1.0 - formula.theta) * state.x
 
 
-def _whole(theta: Array, mean: Array, old: Array) -> Array:
+def _whole(
+    theta: Scalar, mean: Float[Array, " *axes"], old: Float[Array, " *axes"]
+) -> Float[Array, " *axes"]:
     """Recover the new value from the weighted mean of new and old."""
     return old + (mean - old) / theta
 
 
-def _gap(new: Array, past: Array | None, weights: Array) -> Array:
+def _gap(
+    new: Float[Array, " *axes"], past: Float[Array, " points *axes"] | None, weights: Float[Array, " points"]
+) -> Float[Array, " *axes"]:
     """Return the difference of a new value from its prediction with `weights` (6,)."""
     assert past is not None
     return new - jnp.tensordot(weights, past, 1)
 
 
-def _size(scene: Scene, x: Array, p: Array | None) -> Array:
+def _size(scene: Scene, x: NodeVectors, p: HingeValues | None) -> Scalar:
     size = jnp.max(jnp.abs(x)) / scene.length_scale
     return size if p is None else jnp.maximum(size, 0.5 * jnp.max(jnp.abs(p)))

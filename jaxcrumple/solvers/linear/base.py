@@ -10,8 +10,9 @@ from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Float, Shaped
 
+from jaxcrumple._jax.arrays import Count, Flag, Scalar
 from jaxcrumple.assembly.sparsity import Pattern
 
 
@@ -19,17 +20,17 @@ class Factor(NamedTuple):
     """Hold a factored matrix: its `values` (size,), the solver's `workspace`, and the number of `negative`
     eigenvalues."""
 
-    values: Array
+    values: Float[Array, " entries"]
     workspace: Any
-    negative: Array
+    negative: Count
 
 
 class LinearSolution(NamedTuple):
     """Hold the solution `x` (3n,), the `iterations`, and whether the matrix was found `indefinite`."""
 
-    x: Array
-    iterations: Array
-    indefinite: Array
+    x: Float[Array, " unknowns"]
+    iterations: Count
+    indefinite: Flag
 
 
 class AbstractLinearSolver(eqx.Module):
@@ -46,32 +47,44 @@ class AbstractLinearSolver(eqx.Module):
         """Build a workspace for the pattern, with the identity matrix."""
 
     @abc.abstractmethod
-    def factor(self, pattern: Pattern, values: Array, previous: Factor) -> Factor:
+    def factor(self, pattern: Pattern, values: Float[Array, " entries"], previous: Factor) -> Factor:
         """Factor new `values` (size,)."""
 
     @abc.abstractmethod
     def solve(
-        self, pattern: Pattern, factor: Factor, values: Array | None, rhs: Array, rtol: Array | float
+        self,
+        pattern: Pattern,
+        factor: Factor,
+        values: Float[Array, " entries"] | None,
+        rhs: Float[Array, " unknowns"],
+        rtol: Scalar | float,
     ) -> LinearSolution:
         """Solve A x = `rhs` (3n,) to a residual of `rtol` relative to `rhs`.
 
         `values` (size,) are the entries of A, or None for those of the factor. The factor may be that of
         older values."""
 
-    def solve_factored(self, pattern: Pattern, factor: Factor, rhs: Array, rtol: Array | float) -> Array:
+    def solve_factored(
+        self, pattern: Pattern, factor: Factor, rhs: Float[Array, " unknowns"], rtol: Scalar | float
+    ) -> Float[Array, " unknowns"]:
         """Solve with the factor's own values, to a relative residual of `rtol` or less; returns x (3n,)."""
         return self.solve(pattern, factor, None, rhs, rtol).x
 
     def solve_once(
-        self, pattern: Pattern, start: Factor, values: Array, rhs: Array, rtol: Array | float
-    ) -> Array:
+        self,
+        pattern: Pattern,
+        start: Factor,
+        values: Float[Array, " entries"],
+        rhs: Float[Array, " unknowns"],
+        rtol: Scalar | float,
+    ) -> Float[Array, " unknowns"]:
         """Factor `values` for one solution (3n,) only; `start` does not change."""
         return self.solve_factored(pattern, self.factor(pattern, values, start), rhs, rtol)
 
-    def release(self, factor: Factor, after: Array) -> None:
+    def release(self, factor: Factor, after: Shaped[Array, "..."]) -> None:
         """Free memory that the factor holds outside JAX arrays, after `after` is computed."""
 
 
-def identity_values(pattern: Pattern) -> Array:
+def identity_values(pattern: Pattern) -> Float[Array, " entries"]:
     """Return the values (size,) of the identity matrix."""
     return jnp.zeros(pattern.size).at[pattern.diagonal].set(1.0)

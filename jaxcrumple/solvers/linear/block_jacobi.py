@@ -5,8 +5,9 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Float
 
+from jaxcrumple._jax.arrays import Flag, Scalar
 from jaxcrumple.assembly.sparsity import Pattern
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor, LinearSolution, identity_values
 from jaxcrumple.solvers.linear.cg import conjugate_gradients
@@ -32,7 +33,7 @@ class BlockCG(AbstractLinearSolver):
         """Return the blocks of the identity."""
         return Factor(identity_values(pattern), unit_blocks(pattern, self.block_size), jnp.asarray(0))
 
-    def factor(self, pattern: Pattern, values: Array, previous: Factor) -> Factor:
+    def factor(self, pattern: Pattern, values: Float[Array, " entries"], previous: Factor) -> Factor:
         """Invert the diagonal blocks of the sheet's part of the matrix.
 
         If a block is not positive definite, the matrix counts as indefinite."""
@@ -40,7 +41,12 @@ class BlockCG(AbstractLinearSolver):
         return Factor(values, _inverses(lower), jnp.where(sound, -1, 1))
 
     def solve(
-        self, pattern: Pattern, factor: Factor, values: Array | None, rhs: Array, rtol: Array | float
+        self,
+        pattern: Pattern,
+        factor: Factor,
+        values: Float[Array, " entries"] | None,
+        rhs: Float[Array, " unknowns"],
+        rtol: Scalar | float,
     ) -> LinearSolution:
         """Solve by conjugate gradients; a direction of negative curvature sets `indefinite`."""
         values = factor.values if values is None else values
@@ -55,13 +61,15 @@ class BlockCG(AbstractLinearSolver):
         )
 
 
-def unit_blocks(pattern: Pattern, size: int, dtype: Any = float) -> Array:
+def unit_blocks(pattern: Pattern, size: int, dtype: Any = float) -> Float[Array, "blocks size size"]:
     """Return the diagonal blocks (b, size, size) of the identity."""
     count = -(-pattern.diagonal.shape[0] // size)
     return jnp.broadcast_to(jnp.eye(size, dtype=dtype), (count, size, size))
 
 
-def block_factors(pattern: Pattern, values: Array, size: int) -> tuple[Array, Array]:
+def block_factors(
+    pattern: Pattern, values: Float[Array, " entries"], size: int
+) -> tuple[Float[Array, "blocks size size"], Flag]:
     """Compute Cholesky factors (b, size, size) of the dense diagonal blocks of a sheet's `values` (nnz,).
 
     Returns the factors, and whether all blocks are positive definite. The identity fills the last block. If
@@ -83,17 +91,19 @@ def block_factors(pattern: Pattern, values: Array, size: int) -> tuple[Array, Ar
     return jnp.where(sound, lower, jnp.eye(size)), sound
 
 
-def _inverses(lower: Array) -> Array:
+def _inverses(lower: Float[Array, "blocks size size"]) -> Float[Array, "blocks size size"]:
     identity = jnp.eye(lower.shape[-1])
     return jax.vmap(lambda c: jax.scipy.linalg.cho_solve((c, True), identity))(lower)
 
 
-def apply_blocks(blocks: Array, r: Array) -> Array:
+def apply_blocks(
+    blocks: Float[Array, "blocks size size"], r: Float[Array, " unknowns"]
+) -> Float[Array, " unknowns"]:
     """Multiply a block-diagonal matrix (b, m, m) by a vector, which is padded to fill the last block."""
     count, size, _ = blocks.shape
     return jnp.einsum("bij,bj->bi", blocks, pad_blocks(r, count, size)).reshape(-1)[: r.shape[0]]
 
 
-def pad_blocks(r: Array, count: int, size: int) -> Array:
+def pad_blocks(r: Float[Array, " unknowns"], count: int, size: int) -> Float[Array, "blocks size"]:
     """Reshape a vector to rows (count, size), padded with zeros."""
     return jnp.zeros(count * size, r.dtype).at[: r.shape[0]].set(r).reshape(count, size)

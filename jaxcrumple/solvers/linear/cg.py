@@ -5,26 +5,27 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Float
 
+from jaxcrumple._jax.arrays import Count, Flag, Scalar
 from jaxcrumple.solvers.linear.base import Factor, LinearSolution
 
 
 class _Carry(NamedTuple):
-    x: Array
-    r: Array
-    d: Array
-    rz: Array
-    positive: Array
-    iterations: Array
+    x: Float[Array, " unknowns"]
+    r: Float[Array, " unknowns"]
+    d: Float[Array, " unknowns"]
+    rz: Scalar
+    positive: Flag
+    iterations: Count
 
 
 def conjugate_gradients(
-    product: Callable[[Array], Array],
-    precondition: Callable[[Array], Array],
+    product: Callable[[Float[Array, " unknowns"]], Float[Array, " unknowns"]],
+    precondition: Callable[[Float[Array, " unknowns"]], Float[Array, " unknowns"]],
     factor: Factor,
-    rhs: Array,
-    rtol: Array | float,
+    rhs: Float[Array, " unknowns"],
+    rtol: Scalar | float,
     max_iterations: int,
 ) -> LinearSolution:
     """Solve A x = `rhs` (m,) until $\\|r\\|_2 \\le$ `rtol` $\\|b\\|_2$ (Saad, Iterative Methods, alg. 9.1).
@@ -48,7 +49,7 @@ def conjugate_gradients(
         step = jnp.where(positive, rz / bend, 0.0)
         return _Carry(carry.x + step * d, carry.r - step * image, d, rz, positive, carry.iterations + 1)
 
-    def unfinished(carry: _Carry) -> Array:
+    def unfinished(carry: _Carry) -> Flag:
         far = jnp.linalg.norm(carry.r) > goal
         return carry.positive & far & (carry.iterations < max_iterations)
 

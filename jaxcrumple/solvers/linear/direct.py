@@ -1,12 +1,13 @@
 """Sparse direct solver: $L D L^T$ factorisation by oneMKL PARDISO inside jit, with the matrix inertia."""
 
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, NoReturn
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Float, Int, Shaped
 
+from jaxcrumple._jax.arrays import Scalar
 from jaxcrumple._jax.door import own_modes
 from jaxcrumple.assembly.sparsity import Pattern
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor, LinearSolution, identity_values
@@ -19,8 +20,8 @@ REFINEMENTS = 2
 class _Workspace(NamedTuple):
     """Hold the library's handle of a factor, and the values of its matrix."""
 
-    token: Array
-    matrix: Array
+    token: Any
+    matrix: Float[Array, " stored"]
 
 
 class Direct(AbstractLinearSolver):
@@ -49,7 +50,7 @@ class Direct(AbstractLinearSolver):
         token, _ = primitive.analyze(indptr, indices, matrix, **_mode())
         return Factor(values, _Workspace(token, matrix), jnp.asarray(0))
 
-    def factor(self, pattern: Pattern, values: Array, previous: Factor) -> Factor:
+    def factor(self, pattern: Pattern, values: Float[Array, " entries"], previous: Factor) -> Factor:
         """Factor new values. If one is not finite, factor the identity and report an indefinite matrix."""
         from pardiso_mkl_jax import primitive
 
@@ -63,7 +64,12 @@ class Direct(AbstractLinearSolver):
         return Factor(safe, _Workspace(token, matrix), negative)
 
     def solve(
-        self, pattern: Pattern, factor: Factor, values: Array | None, rhs: Array, rtol: Array | float
+        self,
+        pattern: Pattern,
+        factor: Factor,
+        values: Float[Array, " entries"] | None,
+        rhs: Float[Array, " unknowns"],
+        rtol: Scalar | float,
     ) -> LinearSolution:
         """Solve by one substitution with the factor's own values, or by conjugate gradients with others."""
         if values is None:
@@ -77,7 +83,9 @@ class Direct(AbstractLinearSolver):
             self.max_iterations,
         )
 
-    def solve_factored(self, pattern: Pattern, factor: Factor, rhs: Array, rtol: Array | float) -> Array:
+    def solve_factored(
+        self, pattern: Pattern, factor: Factor, rhs: Float[Array, " unknowns"], rtol: Scalar | float
+    ) -> Float[Array, " unknowns"]:
         """Solve with the factor's own values, definite or not, and refine x (3n,) to rounding."""
         x = jnp.zeros_like(rhs)
         for _ in range(REFINEMENTS + 1):
@@ -85,8 +93,13 @@ class Direct(AbstractLinearSolver):
         return x
 
     def solve_once(
-        self, pattern: Pattern, start: Factor, values: Array, rhs: Array, rtol: Array | float
-    ) -> Array:
+        self,
+        pattern: Pattern,
+        start: Factor,
+        values: Float[Array, " entries"],
+        rhs: Float[Array, " unknowns"],
+        rtol: Scalar | float,
+    ) -> Float[Array, " unknowns"]:
         """Factor and solve in one library call with the analysis of `start`; refine x (3n,) to rounding."""
         from pardiso_mkl_jax import primitive
 
@@ -100,14 +113,16 @@ class Direct(AbstractLinearSolver):
             refinements=REFINEMENTS,
         )
 
-    def release(self, factor: Factor, after: Array) -> None:
+    def release(self, factor: Factor, after: Shaped[Array, "..."]) -> None:
         """Free the factor, because the library keeps the factors of the last calls."""
         from pardiso_mkl_jax import primitive
 
         primitive.release(factor.workspace.token, after.astype(float))
 
 
-def _substitute(pattern: Pattern, factor: Factor, rhs: Array) -> Array:
+def _substitute(
+    pattern: Pattern, factor: Factor, rhs: Float[Array, " unknowns"]
+) -> Float[Array, " unknowns"]:
     """Solve by forward and back substitution."""
     from pardiso_mkl_jax import primitive
 
@@ -116,22 +131,46 @@ def _substitute(pattern: Pattern, factor: Factor, rhs: Array) -> Array:
 
 
 def _batched(
-    routine: Callable, token: Any, indptr: Array, indices: Array, matrix: Array, rhs: Array, **options
-) -> Array:
+    routine: Callable,
+    token: Any,
+    indptr: Int[Array, " pointers"],
+    indices: Int[Array, " stored"],
+    matrix: Float[Array, " stored"],
+    rhs: Float[Array, " unknowns"],
+    **options: Any,
+) -> Float[Array, " unknowns"]:
     """Call a routine of the library for one right-hand side, or under `vmap` for all of them together."""
 
-    def found(token: Any, indptr: Array, indices: Array, matrix: Array, rhs: Array) -> Array:
+    def found(
+        token: Any,
+        indptr: Int[Array, " pointers"],
+        indices: Int[Array, " stored"],
+        matrix: Float[Array, " stored"],
+        rhs: Float[Array, "batch unknowns"],
+    ) -> Float[Array, "batch unknowns"]:
         return routine(token, indptr, indices, matrix, _unbatched(rhs), **_mode(**options))[0]
 
     @jax.custom_batching.custom_vmap
-    def one(token: Any, indptr: Array, indices: Array, matrix: Array, rhs: Array) -> Array:
+    def one(
+        token: Any,
+        indptr: Int[Array, " pointers"],
+        indices: Int[Array, " stored"],
+        matrix: Float[Array, " stored"],
+        rhs: Float[Array, " unknowns"],
+    ) -> Float[Array, " unknowns"]:
         return found(token, indptr, indices, matrix, rhs[None])[0]
 
     @one.def_vmap
     @own_modes()
     def many(
-        axis_size: int, in_batched, token: Any, indptr: Array, indices: Array, matrix: Array, rhs: Array
-    ):
+        axis_size: int,
+        in_batched: Any,
+        token: Any,
+        indptr: Int[Array, " pointers"],
+        indices: Int[Array, " stored"],
+        matrix: Float[Array, " stored"],
+        rhs: Float[Array, "batch unknowns"],
+    ) -> tuple[Float[Array, "batch unknowns"], bool]:
         if any(jax.tree.leaves(in_batched[:-1])):
             _refuse(axis_size, in_batched, rhs)
         return found(token, indptr, indices, matrix, rhs), True
@@ -139,7 +178,7 @@ def _batched(
     return one(token, indptr, indices, matrix, rhs)
 
 
-def _structure(pattern: Pattern) -> tuple[Array, Array]:
+def _structure(pattern: Pattern) -> tuple[Int[Array, " pointers"], Int[Array, " stored"]]:
     """Return row pointers and column indices of the upper triangle, contact included."""
     if pattern.contact is None:
         return pattern.indptr, pattern.indices
@@ -152,7 +191,9 @@ def _structure(pattern: Pattern) -> tuple[Array, Array]:
     return merged.indptr, merged.indices
 
 
-def _matrix(pattern: Pattern, values: Array) -> tuple[Array, Array, Array]:
+def _matrix(
+    pattern: Pattern, values: Float[Array, " entries"]
+) -> tuple[Int[Array, " pointers"], Int[Array, " stored"], Float[Array, " stored"]]:
     """Return row pointers, column indices and values of the upper triangle, contact included."""
     indptr, indices = _structure(pattern)
     if pattern.contact is None:
@@ -161,13 +202,13 @@ def _matrix(pattern: Pattern, values: Array) -> tuple[Array, Array, Array]:
 
 
 @jax.custom_batching.custom_vmap
-def _unbatched(array: Array) -> Array:
+def _unbatched(array: Shaped[Array, "..."]) -> Shaped[Array, "..."]:
     """Return the array, and raise ValueError under `vmap`."""
     return array
 
 
 @_unbatched.def_vmap
-def _refuse(axis_size: int, in_batched, array: Array):
+def _refuse(axis_size: int, in_batched: Any, array: Shaped[Array, "..."]) -> NoReturn:
     raise ValueError(
         f"the direct solver cannot be batched by vmap (here over {axis_size} lanes): its factors are stored "
         "outside the JAX arrays. Choose linear='two-level'."

@@ -1,11 +1,11 @@
 """`linear_solve`: each linear solver as a differentiable function."""
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax import Array
-from jax.typing import ArrayLike
+from jaxtyping import Array, ArrayLike, Float, Real
 
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float
@@ -21,10 +21,10 @@ SLACK = 10.0
 def linear_solve(
     solver: str | AbstractLinearSolver,
     pattern: Pattern,
-    values: ArrayLike,
-    rhs: ArrayLike,
+    values: Real[ArrayLike, " entries"],
+    rhs: Real[ArrayLike, " unknowns"],
     rtol: float = 1e-10,
-) -> Array:
+) -> Float[Array, " unknowns"]:
     """Solve A x = `rhs` for x (3n,), differentiable with respect to `values` (size,) and `rhs`.
 
     The derivatives, forward and reverse, follow from the implicit function theorem, dA x + A dx = db. They
@@ -49,29 +49,38 @@ def linear_solve(
         )
     factor = solver.factor(pattern, jax.lax.stop_gradient(values), solver.start(pattern))
 
-    def solve(b: Array) -> Array:
+    def solve(b: Float[Array, " unknowns"]) -> Float[Array, " unknowns"]:
         return solver.solve_factored(pattern, factor, b, rtol)
 
     return _solved(solve, pattern, values, rhs, rtol)
 
 
 def solve_once(
-    solver: AbstractLinearSolver, pattern: Pattern, start: Factor, values: Array, rhs: Array, rtol: float
-) -> Array:
+    solver: AbstractLinearSolver,
+    pattern: Pattern,
+    start: Factor,
+    values: Float[Array, " entries"],
+    rhs: Float[Array, " unknowns"],
+    rtol: float,
+) -> Float[Array, " unknowns"]:
     """Solve like `linear_solve`, with a factor for one system only; `start` may serve many calls."""
 
-    def solve(b: Array) -> Array:
+    def solve(b: Float[Array, " unknowns"]) -> Float[Array, " unknowns"]:
         return solver.solve_once(pattern, start, jax.lax.stop_gradient(values), b, rtol)
 
     return _solved(solve, pattern, values, rhs, rtol)
 
 
 def _solved(
-    solve: Callable[[Array], Array], pattern: Pattern, values: Array, rhs: Array, rtol: float
-) -> Array:
+    solve: Callable[[Float[Array, " unknowns"]], Float[Array, " unknowns"]],
+    pattern: Pattern,
+    values: Float[Array, " entries"],
+    rhs: Float[Array, " unknowns"],
+    rtol: float,
+) -> Float[Array, " unknowns"]:
     """Make the solution of `solve` differentiable; it is NaN if the residual exceeds the tolerance."""
 
-    def checked(_, b: Array) -> Array:
+    def checked(_: Any, b: Float[Array, " unknowns"]) -> Float[Array, " unknowns"]:
         x, own = solve(b), jax.lax.stop_gradient(values)
         left = jnp.linalg.norm(b - pattern.product(own, x))
         rounding = jnp.finfo(b.dtype).eps * jnp.max(jnp.abs(own)) * jnp.linalg.norm(x)

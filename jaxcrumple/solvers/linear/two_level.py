@@ -13,8 +13,9 @@ from typing import ClassVar, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, Float, Int
 
+from jaxcrumple._jax.arrays import Flag, Scalar
 from jaxcrumple.assembly.coarse_space import SUPPORT, WINDOW, CoarseSpace
 from jaxcrumple.assembly.sparsity import Pattern
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor, LinearSolution, identity_values
@@ -30,8 +31,8 @@ SHIFT = 1e-10
 class _Levels(NamedTuple):
     """Hold inverse Cholesky factors of the blocks (b, m, m) and of the coarse matrix, in float32."""
 
-    blocks: Array
-    coarse: Array
+    blocks: Float[Array, "blocks size size"]
+    coarse: Float[Array, "coarse coarse"]
 
 
 class TwoLevel(AbstractLinearSolver):
@@ -53,7 +54,7 @@ class TwoLevel(AbstractLinearSolver):
         coarse = jnp.eye(3 * pattern.coarse.size, dtype=jnp.float32)
         return Factor(identity_values(pattern), _Levels(blocks, coarse), jnp.asarray(0))
 
-    def factor(self, pattern: Pattern, values: Array, previous: Factor) -> Factor:
+    def factor(self, pattern: Pattern, values: Float[Array, " entries"], previous: Factor) -> Factor:
         """Factor the blocks and the coarse matrix of the sheet's part of A.
 
         If one is not positive definite, A counts as indefinite."""
@@ -69,7 +70,12 @@ class TwoLevel(AbstractLinearSolver):
         return Factor(values, levels, jnp.where(sound & definite, -1, 1))
 
     def solve(
-        self, pattern: Pattern, factor: Factor, values: Array | None, rhs: Array, rtol: Array | float
+        self,
+        pattern: Pattern,
+        factor: Factor,
+        values: Float[Array, " entries"] | None,
+        rhs: Float[Array, " unknowns"],
+        rtol: Scalar | float,
     ) -> LinearSolution:
         """Solve by conjugate gradients; a direction of negative curvature sets `indefinite`."""
         values = factor.values if values is None else values
@@ -77,7 +83,7 @@ class TwoLevel(AbstractLinearSolver):
         levels, space = factor.workspace, pattern.coarse
         weights = _cell_weights(space).astype(jnp.float32)
 
-        def precondition(r: Array) -> Array:
+        def precondition(r: Float[Array, " unknowns"]) -> Float[Array, " unknowns"]:
             # Residuals span many orders of magnitude, so normalise them before the cast to float32.
             size = jnp.maximum(jnp.max(jnp.abs(r)), jnp.finfo(r.dtype).tiny)
             scaled = (r / size).astype(jnp.float32)
@@ -96,25 +102,29 @@ class TwoLevel(AbstractLinearSolver):
         )
 
 
-def _inverse_lower(lower: Array) -> Array:
+def _inverse_lower(lower: Float[Array, "rows rows"]) -> Float[Array, "rows rows"]:
     return jax.scipy.linalg.solve_triangular(lower, jnp.eye(lower.shape[0]), lower=True)
 
 
-def _solve_blocks(inverse: Array, r: Array) -> Array:
+def _solve_blocks(
+    inverse: Float[Array, "blocks size size"], r: Float[Array, " unknowns"]
+) -> Float[Array, " unknowns"]:
     """Compute $L^{-T} L^{-1}$ r with the inverse factors (b, m, m) of the diagonal blocks."""
     count, size, _ = inverse.shape
     half = jnp.einsum("bij,bj->bi", inverse, pad_blocks(r, count, size))
     return jnp.einsum("bji,bj->bi", inverse, half).reshape(-1)[: r.shape[0]]
 
 
-def _cell_weights(space: CoarseSpace) -> Array:
+def _cell_weights(space: CoarseSpace) -> Float[Array, "cells functions members"]:
     """Return the weights (c, 16, k) of the members of each cell, padded with 0."""
     weights = space.weights
     product = (weights[:, 0, :, None] * weights[:, 1, None, :]).reshape(-1, SUPPORT**2)
     return jnp.swapaxes(product.at[space.members].get(mode="fill", fill_value=0.0), 1, 2)
 
 
-def _restrict(space: CoarseSpace, weights: Array, r: Array) -> Array:
+def _restrict(
+    space: CoarseSpace, weights: Float[Array, "cells functions members"], r: Float[Array, " unknowns"]
+) -> Float[Array, " coarse"]:
     """Compute the coarse components (3 size,) of a fine vector (3n,): Z^T r."""
     fine = r.reshape(-1, 3).T.at[:, space.members].get(mode="fill", fill_value=0.0)
     # A sum of products along the last axis, which XLA on CPU runs three times faster than the einsum.
@@ -122,7 +132,9 @@ def _restrict(space: CoarseSpace, weights: Array, r: Array) -> Array:
     return jnp.zeros((space.size, 3), r.dtype).at[space.functions].add(local, mode="drop").reshape(-1)
 
 
-def _prolong(space: CoarseSpace, weights: Array, y: Array) -> Array:
+def _prolong(
+    space: CoarseSpace, weights: Float[Array, "cells functions members"], y: Float[Array, " coarse"]
+) -> Float[Array, " unknowns"]:
     """Compute the fine vector (3n,) of coarse components (3 size,): Z y."""
     local = y.reshape(-1, 3).at[space.functions].get(mode="fill", fill_value=0.0)
     # As in the restriction, faster on CPU than the einsum.
@@ -130,7 +142,7 @@ def _prolong(space: CoarseSpace, weights: Array, y: Array) -> Array:
     return fine.reshape(-1, 3)[space.place].reshape(-1)
 
 
-def coarse_matrix(pattern: Pattern, values: Array) -> Array:
+def coarse_matrix(pattern: Pattern, values: Float[Array, " entries"]) -> Float[Array, "coarse coarse"]:
     """Compute the Galerkin matrix Z^T A Z (3 size, 3 size) of a sheet's `values` (nnz,), cell by cell.
 
     A row of A times Z involves a window of functions only, whose weights are products of two directions. A
@@ -139,7 +151,9 @@ def coarse_matrix(pattern: Pattern, values: Array) -> Array:
     space = pattern.coarse
     rows = pattern.expand(values).reshape(*pattern.neighbors.shape[:1], 3, -1, 3)
 
-    def cell(data: tuple[Array, Array]) -> Array:
+    def cell(
+        data: tuple[Int[Array, " members"], Float[Array, "functions members"]],
+    ) -> Float[Array, "functions 3 3 window"]:
         members, weights = data
         others = pattern.neighbors.at[members].get(mode="fill", fill_value=0)
         blocks = rows.at[members].get(mode="fill", fill_value=0.0)
@@ -158,14 +172,16 @@ def coarse_matrix(pattern: Pattern, values: Array) -> Array:
     return matrix.reshape(3 * size, 3 * size)
 
 
-def _window_weights(weights: Array, offset: Array) -> Array:
+def _window_weights(
+    weights: Float[Array, "*axes support"], offset: Int[Array, " *axes"]
+) -> Float[Array, "*axes window"]:
     """Return weights (..., 6) of functions -1 ... 4 of a cell at nodes `offset` (-1, 0, 1) cells away."""
     index = jnp.arange(WINDOW) - 1 - offset[..., None]
     inside = (index >= 0) & (index < SUPPORT)
     return jnp.where(inside, jnp.take_along_axis(weights, jnp.clip(index, 0, SUPPORT - 1), axis=-1), 0.0)
 
 
-def _coarse_factor(matrix: Array) -> tuple[Array, Array]:
+def _coarse_factor(matrix: Float[Array, "coarse coarse"]) -> tuple[Float[Array, "coarse coarse"], Flag]:
     """Return the inverse Cholesky factor of the coarse matrix, and whether it is positive definite."""
     size = matrix.shape[0]
     diagonal = jnp.diag(matrix)
