@@ -24,6 +24,7 @@ from jaxcrumple.options.units import (
 from jaxcrumple.options.validation import ConfigError, Place, shortened, validated
 from jaxcrumple.scenes import SCENES, SceneEntry, Setup
 from jaxcrumple.scenes.functions import absolute, scene_entry
+from jaxcrumple.solvers.linear.registry import LinearSolverName
 from jaxcrumple.solvers.scheme import Integrator, Scheme, integrator, switch_of
 from jaxcrumple.solvers.switch import Switch
 
@@ -99,7 +100,7 @@ class SolverOptions(Options):
 
     rtol: float = Field(1e-2, gt=0, lt=0.1, allow_inf_nan=False)
     scheme: Scheme = "hybrid"
-    linear: Literal["auto", "direct", "two-level", "block-cg"] | None = None
+    linear: LinearSolverName | None = None
     max_order: int = Field(5, ge=1, le=5)
     rho_infinity: float = Field(0.0, ge=0, le=1)
     max_step: Annotated[float | None, TIME] = Field(None, gt=0, allow_inf_nan=False)

@@ -34,6 +34,7 @@ from jaxcrumple.solvers.implicit.newton import must_restore
 from jaxcrumple.solvers.linear.base import Factor
 from jaxcrumple.solvers.log import STEP, Log, append, empty_log, follow
 from jaxcrumple.solvers.outcome import counted, given_up, is_tiny, with_result
+from jaxcrumple.solvers.proposal import ProposedStep, propose
 from jaxcrumple.solvers.scheme import Integrator, checked_solver
 from jaxcrumple.solvers.stages import Handover, after_explicit, after_implicit, handed_over, row, stay
 from jaxcrumple.solvers.switch import observe
@@ -172,10 +173,8 @@ def _interrupted(carry: _Carry) -> Flag:
     return over if carry.schedule is None else over | carry.schedule.due
 
 
-def _tried(
-    carry: _Carry, state: State, log: Log, handover: Handover, cost: int, accepted: Flag, lands: Flag
-) -> _Carry:
-    """Return the loop variables after another attempt."""
+def _tried(carry: _Carry, state: State, log: Log, handover: Handover, cost: int, done: Flag) -> _Carry:
+    """Return the loop variables after another attempt; `done`: whether it ended the call."""
     return carry._replace(
         state=state,
         log=log,
@@ -183,17 +182,8 @@ def _tried(
         spent=carry.spent + cost,
         rounds=jnp.zeros_like(carry.rounds),
         left=carry.left - 1.0,
-        done=accepted & lands,
+        done=done,
     )
-
-
-def _clip_step(t: Scalar, h: Scalar, t_stop: ScalarLike) -> tuple[Scalar, Flag]:
-    """Shorten a step so that it ends at `t_stop`, or leaves at least half of the remaining time.
-
-    Returns the step in s, and whether it ends at `t_stop`."""
-    left = t_stop - t
-    lands = h >= left * (1.0 - 1e-9)
-    return jnp.where(lands, left, jnp.where(h > 0.5 * left, 0.5 * left, h)), lands
 
 
 def _implicit_stages(scene: Scene, carry: _Carry, t_stop: ScalarLike, solver: Integrator) -> _Carry:
@@ -220,42 +210,33 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: ScalarLike, solver: Inte
         ahead, known = solver.implicit.predict(scene, state, wanted), state.history.count > 1
         share = largest_move(scene, carry.schedule, state.x, ahead, known)
         wanted, bounded = wanted * share, known & (share < 1)
-    h, lands = _clip_step(state.t, wanted, t_stop)
+    proposed = propose(state.t, wanted, t_stop, bounded)
     if scene.contact is None:
-        return _implicit_attempt(scene, carry, t_stop, solver, wanted, h, lands, bounded)
-    ahead = solver.implicit.predict(scene, state, h)
+        return _implicit_attempt(scene, carry, solver, proposed)
+    ahead = solver.implicit.predict(scene, state, proposed.h)
 
     restores = _restores(carry)
-    differs = solver.implicit.differs(scene, state, h)
+    differs = solver.implicit.differs(scene, state, proposed.h)
     state, schedule, ready = ready_for(scene, state, carry.schedule, ahead, differs)
     to_restore, ready_then = ready_to_restore(scene, carry.state, carry.schedule)
     state = select(restores, carry.state, state)
     schedule, ready = select(restores, to_restore, schedule), jnp.where(restores, ready_then, ready)
 
     def attempt(carry: _Carry) -> _Carry:
-        return _implicit_attempt(scene, carry, t_stop, solver, wanted, h, lands, bounded)
+        return _implicit_attempt(scene, carry, solver, proposed)
 
     return jax.lax.cond(ready, attempt, lambda carry: carry, carry._replace(state=state, schedule=schedule))
 
 
-def _implicit_attempt(
-    scene: Scene,
-    carry: _Carry,
-    t_stop: ScalarLike,
-    solver: Integrator,
-    wanted: Scalar,
-    h: Scalar,
-    lands: Flag,
-    bounded: Flag,
-) -> _Carry:
+def _implicit_attempt(scene: Scene, carry: _Carry, solver: Integrator, proposed: ProposedStep) -> _Carry:
     assert solver.implicit is not None and carry.factor is not None
     scene = listed(scene, carry.schedule)
-    state, aligning = carry.state, aligns(carry.state)
+    state, h, aligning = carry.state, proposed.h, aligns(carry.state)
     tried = solver.implicit.attempt(scene, state, h, carry.factor, carry.held)
-    moved = _moved(scene, state, tried, h, jnp.where(lands, t_stop, state.t + h), solver)
+    moved = _moved(scene, state, tried, proposed, solver)
     suggested = tried.next_h
     # A step shortened to end at `t_stop` must not shorten the next one.
-    held = tried.accepted & ((h < wanted) | aligning)
+    held = tried.accepted & ((h < proposed.wanted) | aligning)
     suggested = jnp.where(held, jnp.maximum(suggested, state.h), suggested)
     suggested = jnp.where(jnp.isfinite(suggested), suggested, 0.1 * h)
     counters = counted(
@@ -268,11 +249,11 @@ def _implicit_attempt(
     )
     log = append(carry.log, row(scene, moved, STEP, h, tried.order, tried.error), tried.accepted)
     log = follow(log, moved.x, moved.t, h, state.stage, tried.order, tried.accepted)
-    handover = after_implicit(scene, moved, tried.accepted, tried.cause, solver, bounded)
+    handover = after_implicit(scene, moved, tried.accepted, tried.cause, solver, proposed.bounded)
     hopeless = ~tried.accepted & (handover.stage != EXPLICIT) & is_tiny(moved.h, moved.t)
     moved = given_up(moved, hopeless, tried.cause)
     carry = carry._replace(factor=tried.factor, held=jnp.ones_like(carry.held))
-    after = _tried(carry, moved, log, handover, IMPLICIT_COST, tried.accepted, lands)
+    after = _tried(carry, moved, log, handover, IMPLICIT_COST, tried.accepted & proposed.lands)
     restored = carry._replace(schedule=rescheduled(state, carry.schedule))
     return after._replace(
         **{
@@ -284,21 +265,21 @@ def _implicit_attempt(
 
 
 def _moved(
-    scene: Scene, state: State, tried: ImplicitAttempt, h: Scalar, t: Scalar, solver: Integrator
+    scene: Scene, state: State, tried: ImplicitAttempt, proposed: ProposedStep, solver: Integrator
 ) -> State:
     """Return the state after an implicit step, or the old state if the step is rejected."""
     moved = eqx.tree_at(
         lambda s: (s.t, s.x, s.v, s.history, s.monitor),
         state,
         (
-            t, tried.x, tried.v,
-            push(state.history, h, tried.x, tried.v, tried.p, tried.next_order),
-            observe(scene, state.monitor, state.stage, tried.acceleration, h, solver.switch),
+            proposed.t, tried.x, tried.v,
+            push(state.history, proposed.h, tried.x, tried.v, tried.p, tried.next_order),
+            observe(scene, state.monitor, state.stage, tried.acceleration, proposed.h, solver.switch),
         ),
     )  # fmt: skip
     if state.p is not None:
         moved = eqx.tree_at(lambda s: s.p, moved, tried.p)
-    return select(tried.accepted, _with_work(scene, state, moved, h), state)
+    return select(tried.accepted, _with_work(scene, state, moved, proposed.h), state)
 
 
 def _with_work(scene: Scene, before: State, after: State, h: Scalar) -> State:
@@ -331,7 +312,7 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop: ScalarLike, solver: Inte
     started = state.h_explicit > 0
     wanted = jnp.minimum(jnp.where(started, jnp.minimum(state.h_explicit, cap), cap), solver.max_step)
     if scene.contact is None:
-        return _explicit_attempt(scene, carry, t_stop, solver, wanted, cap)
+        return _explicit_attempt(scene, carry, solver, propose(state.t, wanted, t_stop), cap)
     wanted = wanted * largest_move(scene, carry.schedule, state.x, state.x + wanted * state.v)
     straight = state.x + wanted * state.v
     following = straight + 0.5 * wanted**2 * state.slopes.acceleration
@@ -351,23 +332,23 @@ def _explicit_step(scene: Scene, carry: _Carry, t_stop: ScalarLike, solver: Inte
         assert carry.schedule is not None
         now, schedule = with_active(scene, carry.state, carry.schedule, following, differs, going)
         carry = carry._replace(state=now, schedule=schedule)
-        return _explicit_attempt(scene, carry, t_stop, solver, wanted, cap)
+        return _explicit_attempt(scene, carry, solver, propose(state.t, wanted, t_stop), cap)
 
     return jax.lax.cond(ready, attempt, lambda carry: carry, carry._replace(state=after, schedule=schedule))
 
 
 def _explicit_attempt(
-    scene: Scene, carry: _Carry, t_stop: ScalarLike, solver: Integrator, wanted: Scalar, cap: Scalar
+    scene: Scene, carry: _Carry, solver: Integrator, proposed: ProposedStep, cap: Scalar
 ) -> _Carry:
     assert solver.explicit is not None
     scene, state, order = listed_active(scene, carry.schedule), carry.state, solver.explicit.order
-    h, lands = _clip_step(state.t, wanted, t_stop)
+    h, wanted = proposed.h, proposed.wanted
     tried = solver.explicit.attempt(scene, state, h, cap)
     moved = eqx.tree_at(
         lambda s: (s.t, s.x, s.v, s.slopes, s.monitor),
         state,
         (
-            jnp.where(lands, t_stop, state.t + h), tried.x, tried.v, tried.slopes,
+            proposed.t, tried.x, tried.v, tried.slopes,
             observe(scene, state.monitor, state.stage, tried.slopes.acceleration, h, solver.switch),
         ),
     )  # fmt: skip
@@ -388,4 +369,4 @@ def _explicit_attempt(
     if carry.schedule is not None:
         turn = jnp.where(tried.accepted, tried.turn, carry.schedule.turn)
         carry = carry._replace(schedule=carry.schedule._replace(turn=turn))
-    return _tried(carry, moved, log, handover, EXPLICIT_COST, tried.accepted, lands)
+    return _tried(carry, moved, log, handover, EXPLICIT_COST, tried.accepted & proposed.lands)

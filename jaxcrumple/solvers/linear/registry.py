@@ -1,6 +1,7 @@
 """Choice of a linear solver by name, device and installed packages."""
 
 import importlib.util
+from typing import Literal, get_args
 
 import jax
 
@@ -9,7 +10,7 @@ from jaxcrumple.solvers.linear.block_jacobi import BlockCG
 from jaxcrumple.solvers.linear.direct import Direct
 from jaxcrumple.solvers.linear.two_level import TwoLevel
 
-LINEAR_SOLVERS = ("auto", "direct", "two-level", "block-cg")
+LinearSolverName = Literal["auto", "direct", "two-level", "block-cg"]
 
 
 def direct_available() -> bool:
@@ -28,8 +29,9 @@ def choose_linear_solver(name: str | AbstractLinearSolver) -> AbstractLinearSolv
     """
     if isinstance(name, AbstractLinearSolver):
         return name
-    if name not in LINEAR_SOLVERS:
-        raise ValueError(f"linear solver {name!r} is unknown; choose one of {', '.join(LINEAR_SOLVERS)}.")
+    names = get_args(LinearSolverName)
+    if name not in names:
+        raise ValueError(f"linear solver {name!r} is unknown; choose one of {', '.join(names)}.")
     if name == "direct" and not direct_available():
         raise ValueError(
             "the direct solver needs the extra, pip install 'jaxcrumple[direct]' (x86-64 Linux, Python up to "
