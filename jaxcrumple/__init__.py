@@ -6,7 +6,10 @@ from jaxcrumple.cli import entry
 # Prepare the process before the other imports, which take seconds.
 entry.prepare()
 
-from jaxcrumple.calibrate import Experiment, Fit, Parameter, calibrate_fold, calibrate_pattern, fit
+from jaxcrumple.calibrate.experiment import Experiment
+from jaxcrumple.calibrate.fit import Fit, Parameter, fit
+from jaxcrumple.calibrate.fold import calibrate_fold
+from jaxcrumple.calibrate.pattern import calibrate_pattern
 from jaxcrumple.contact.parameters import SelfContact
 from jaxcrumple.io import CheckpointError, Run, RunDirectoryError, load
 from jaxcrumple.material.material import Material
@@ -31,33 +34,25 @@ from jaxcrumple.model.walls import (
     Wall,
 )
 from jaxcrumple.options.validation import ConfigError
-from jaxcrumple.replay import Record, Replay, replay
+from jaxcrumple.replays.record import Record
+from jaxcrumple.replays.replay import Replay, replay
 from jaxcrumple.run.config import configure
 from jaxcrumple.run.run import resume_run, start_run
 from jaxcrumple.run.scene_file import read_scene_file, write_scene_file
 from jaxcrumple.scene import Scene, sheet
-from jaxcrumple.scenes import (
-    Setup,
-    arch,
-    axial,
-    cap,
-    conical,
-    custom,
-    cylindrical,
-    dcone,
-    energy_drop,
-    fold,
-    fold_angle,
-    free_sector,
-    radial,
-    relaxed_drop,
-    ridge,
-    ridge_curvature,
-    shell,
-    stamping,
-    unload,
-)
-from jaxcrumple.simulate import SimulationError, Solution, frame_times, simulate
+from jaxcrumple.scenes.arch import arch
+from jaxcrumple.scenes.axial import axial, cylindrical
+from jaxcrumple.scenes.cap import cap
+from jaxcrumple.scenes.conical import conical
+from jaxcrumple.scenes.custom import custom
+from jaxcrumple.scenes.dcone import dcone, free_sector
+from jaxcrumple.scenes.fold import fold, fold_angle
+from jaxcrumple.scenes.radial import radial, unload
+from jaxcrumple.scenes.ridge import ridge, ridge_curvature
+from jaxcrumple.scenes.setup import Setup
+from jaxcrumple.scenes.snap import energy_drop, relaxed_drop
+from jaxcrumple.scenes.stamping import shell, stamping
+from jaxcrumple.simulation import SimulationError, Solution, frame_times, simulate
 from jaxcrumple.solvers.contact.reallocate import with_contacts
 from jaxcrumple.solvers.contact.report import contact_report
 from jaxcrumple.solvers.integrate import integrate
@@ -67,7 +62,9 @@ from jaxcrumple.solvers.relax import relax
 from jaxcrumple.solvers.scheme import Integrator, integrator
 from jaxcrumple.solvers.switch import Switch
 from jaxcrumple.state import RESULTS, State, initial_state
-from jaxcrumple.sweep import campaign, grid, sweep
+from jaxcrumple.sweeps.campaign import campaign
+from jaxcrumple.sweeps.cases import grid
+from jaxcrumple.sweeps.sweep import sweep
 from jaxcrumple.system import elastic_tangent, energies, force, mass_matrix, potential_energy, tangent
 
 __all__ = [

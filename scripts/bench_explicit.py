@@ -16,7 +16,7 @@ from benchlib import confine, markdown, options, save
 from matplotlib.figure import Figure
 
 from jaxcrumple import cylindrical, initial_state, integrator, simulate
-from jaxcrumple.scenes import Setup
+from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.solvers.explicit.runge_kutta import RungeKutta
 from jaxcrumple.solvers.explicit.verlet import Verlet
 from jaxcrumple.state import EXPLICIT, State

@@ -15,8 +15,7 @@ from benchlib import Timing, markdown, options, paired, save
 from matplotlib.figure import Figure
 
 import jaxcrumple as jc
-from jaxcrumple.replay import Record
-from jaxcrumple.replay.record import STRETCH
+from jaxcrumple.replays.record import STRETCH, Record
 
 RTOL, BEGIN, ATTEMPTS, REPEATS = 1e-2, 2.6, 300, 3
 # Stretches of steps for which memory is planned, and ways to differentiate.

@@ -18,7 +18,10 @@ from benchlib import RTOLS, markdown, options, save
 from matplotlib.figure import Figure
 
 from jaxcrumple import initial_state, integrator, simulate
-from jaxcrumple.scenes import Drop, Setup, arch, cap, energy_drop, relaxed_drop
+from jaxcrumple.scenes.arch import arch
+from jaxcrumple.scenes.cap import cap
+from jaxcrumple.scenes.setup import Setup
+from jaxcrumple.scenes.snap import Drop, energy_drop, relaxed_drop
 
 SCHEMES = ("hybrid", "dynamic", "alternating", "explicit", "paper")
 END = 0.05

@@ -19,7 +19,7 @@ import xarray as xr
 from benchlib import markdown, options, save
 
 import jaxcrumple as jc
-from jaxcrumple.sweep import lanes
+from jaxcrumple.sweeps import lanes
 
 RTOL, TIMES = 1e-2, np.linspace(0.2, 2.2, 11)
 THICKNESS, YIELDS = (1.5e-4, 2.5e-4), (100.0, 300.0)

@@ -16,7 +16,8 @@ import jaxcrumple as jc
 from jaxcrumple.io import RunDirectory
 from jaxcrumple.measure import crease_length, wall_force
 from jaxcrumple.run.run import stored_config
-from jaxcrumple.sweep import campaign, grid
+from jaxcrumple.sweeps.campaign import campaign
+from jaxcrumple.sweeps.cases import grid
 
 MEASURED = ("crease m", "energy mJ", "force N")
 MARKERS = "osd^v<>"

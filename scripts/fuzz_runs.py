@@ -292,7 +292,7 @@ def file_operations(before: Callable[[str], None]) -> Iterator[None]:
         for owner, name in ((os, "fsync"), (os, "replace"), (Path, "unlink"), (Path, "mkdir")):
             stack.enter_context(mock.patch.object(owner, name, around(name, getattr(owner, name))))
         stack.enter_context(mock.patch.object(TableFile, "_write", half_appended))
-        stack.enter_context(mock.patch.object(sys.modules["jaxcrumple.simulate"], "CHUNK", 0.0))
+        stack.enter_context(mock.patch.object(sys.modules["jaxcrumple.simulation"], "CHUNK", 0.0))
         yield
 
 

@@ -33,9 +33,9 @@ from scipy.stats import qmc
 from jaxcrumple import Solution, initial_state, simulate
 from jaxcrumple.measure import count_intersections
 from jaxcrumple.run.config import RunConfig, configure
-from jaxcrumple.scenes import Setup
+from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import smooth_imperfection
-from jaxcrumple.simulate import explain
+from jaxcrumple.simulation import explain
 from jaxcrumple.solvers.log import STEP
 from jaxcrumple.solvers.scheme import REFERENCE_SHARE, Integrator
 from jaxcrumple.state import restarted

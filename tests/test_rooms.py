@@ -2,7 +2,10 @@
 
 import ast
 import graphlib
+import importlib
+import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -12,8 +15,8 @@ PACKAGE = Path(jaxcrumple.__file__).parent
 #: From the top down; the modules `__init__` and `__main__` may import all of them.
 ROOMS = (
     "_jax", "options", "geometry", "mesh", "material", "model", "contact", "assembly", "scene", "state",
-    "system", "solvers", "replay", "simulate", "measure", "io", "scenes", "calibrate", "run", "sweep", "plot",
-    "paper", "cli",
+    "system", "solvers", "replays", "simulation", "measure", "io", "scenes", "calibrate", "run", "sweeps",
+    "plot", "paper", "cli",
 )  # fmt: skip
 
 
@@ -94,3 +97,12 @@ def test_every_room_has_its_tests():
     tests = {path.parent.name for path in Path(__file__).parent.glob("*/test_*.py")}
     # The tangent's structure is tested by what is solved with it.
     assert rooms - tests == {"assembly"} and not tests - rooms
+
+
+def test_no_module_hides_behind_a_function_of_its_name():
+    """A package that imports `radial` from its module `radial` leaves no way to the module."""
+    importlib.import_module("jaxcrumple.measure")
+    for name in MODULES:
+        place, _, leaf = name.rpartition(".")
+        importlib.import_module(name)
+        assert isinstance(getattr(sys.modules[place], leaf), ModuleType), name

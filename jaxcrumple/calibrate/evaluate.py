@@ -16,8 +16,9 @@ from jaxtyping import Array, ArrayLike, Float
 
 from jaxcrumple.calibrate.experiment import Experiment, Values, count_residuals, difference, fingerprint
 from jaxcrumple.io.atomic import refusal, write_bytes
-from jaxcrumple.replay import Record, Replay, replay
-from jaxcrumple.simulate import simulate
+from jaxcrumple.replays.record import Record
+from jaxcrumple.replays.replay import Replay, replay
+from jaxcrumple.simulation import simulate
 from jaxcrumple.solvers.scheme import Integrator
 
 # Result of a run that ended at its budget. The file does not store it: a larger budget may continue the run.

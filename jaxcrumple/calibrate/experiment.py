@@ -10,9 +10,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxcrumple.io.sketch import alike, sketch
-from jaxcrumple.replay import Replay
+from jaxcrumple.replays.replay import Replay
 from jaxcrumple.scene import Scene
-from jaxcrumple.simulate import Times, checked_times
+from jaxcrumple.simulation import Times, checked_times
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import State
 

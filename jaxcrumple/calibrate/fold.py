@@ -15,7 +15,7 @@ from jaxcrumple._jax.door import door
 from jaxcrumple.calibrate.experiment import Experiment, Values
 from jaxcrumple.calibrate.fit import Fit, Parameter, fit
 from jaxcrumple.material.material import Material
-from jaxcrumple.replay import Replay
+from jaxcrumple.replays.replay import Replay
 from jaxcrumple.scene import Scene
 from jaxcrumple.scenes.fold import TIMES, default_gap, fold, fold_angle
 from jaxcrumple.solvers.scheme import Integrator, integrator

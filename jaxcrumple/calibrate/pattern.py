@@ -14,7 +14,7 @@ from jaxcrumple.calibrate.experiment import Experiment, Values
 from jaxcrumple.calibrate.fit import Fit, Parameter, fit
 from jaxcrumple.scene import Scene
 from jaxcrumple.scenes.setup import Setup
-from jaxcrumple.simulate import Times, checked_times
+from jaxcrumple.simulation import Times, checked_times
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import State, initial_state
 

@@ -23,7 +23,7 @@ def calibrate_by_fold(
     """Find the yield curvature at which a folded sheet retains an angle."""
     import math
 
-    from jaxcrumple.calibrate import calibrate_fold
+    from jaxcrumple.calibrate.fold import calibrate_fold
     from jaxcrumple.io.atomic import json_bytes, write_bytes
 
     if not 0 < target_angle < 180:

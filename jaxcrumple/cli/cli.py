@@ -214,9 +214,9 @@ def sweep(
 ) -> None:
     """Run a scene over a grid of option values, and write all results to one netCDF file."""
     from jaxcrumple.io.atomic import write_bytes
-    from jaxcrumple.simulate import frame_times
-    from jaxcrumple.sweep.file import read_sweep
-    from jaxcrumple.sweep.sweep import sweep
+    from jaxcrumple.simulation import frame_times
+    from jaxcrumple.sweeps.file import read_sweep
+    from jaxcrumple.sweeps.sweep import sweep
 
     limit, asked = _seconds(max_seconds), read_sweep(file)
     path = out or file.with_suffix(".nc")
@@ -248,8 +248,9 @@ def campaign(
     max_seconds: Limit = None,
 ) -> None:
     """Run a scene over a grid, one resumable run folder per case; run again to complete the missing ones."""
-    from jaxcrumple.sweep import campaign, grid
-    from jaxcrumple.sweep.file import read_sweep
+    from jaxcrumple.sweeps.campaign import campaign
+    from jaxcrumple.sweeps.cases import grid
+    from jaxcrumple.sweeps.file import read_sweep
 
     limit, asked, folder = _seconds(max_seconds), read_sweep(file), out or Path("runs") / file.stem
     frames = {} if asked.frames is None else {"frames": asked.frames}
@@ -298,7 +299,7 @@ def scenes(
 ) -> None:
     """List the scenes and their options with defaults."""
     from jaxcrumple.run.config import MaterialOptions, RunConfig, SolverOptions
-    from jaxcrumple.scenes import SCENES
+    from jaxcrumple.scenes.catalogue import SCENES
 
     if toml is not None:
         from jaxcrumple.run.template import template

@@ -21,7 +21,7 @@ import typer
 from rich.console import Console
 
 from jaxcrumple.options.suggest import one_line
-from jaxcrumple.sweep.cluster import WorkersLostError
+from jaxcrumple.sweeps.cluster import WorkersLostError
 
 console = Console()
 

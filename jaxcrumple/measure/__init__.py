@@ -1,6 +1,6 @@
 """Measures of a deformed sheet, computed on the host: strain, creases, facets, energy, volume, stacking."""
 
-from jaxcrumple.measure.avalanches import avalanches, power_law_exponent
+from jaxcrumple.measure.avalanche_statistics import avalanches, power_law_exponent
 from jaxcrumple.measure.confinement import wall_force
 from jaxcrumple.measure.creases import (
     DAMAGE,
@@ -16,12 +16,12 @@ from jaxcrumple.measure.creases import (
 )
 from jaxcrumple.measure.density import face_bending_density, face_plastic_curvature, face_stretch_density
 from jaxcrumple.measure.distributions import Distribution, curvature_distribution, fold_angle_distribution
+from jaxcrumple.measure.energy_localization import localization, participation_ratio
 from jaxcrumple.measure.facets import Facets, segment_facets
 from jaxcrumple.measure.fragmentation import AreaFit, area_cdf, area_density, fit_areas, maturity
 from jaxcrumple.measure.growth import fit_growth
 from jaxcrumple.measure.intersections import count_intersections
 from jaxcrumple.measure.layers import chord_layers, radial_alignment, stacked_layers
-from jaxcrumple.measure.localization import localization, participation_ratio
 from jaxcrumple.measure.sections import Section, cross_section, thick_section
 from jaxcrumple.measure.shells import center_of_mass, radial_profile, shell_areas
 from jaxcrumple.measure.strain import edge_strain, max_strain, rms_strain

@@ -9,8 +9,8 @@ import pandas as pd
 from jaxcrumple.io import Run, load
 from jaxcrumple.io.atomic import write_bytes
 from jaxcrumple.run.config import RunConfig
-from jaxcrumple.sweep import campaign
-from jaxcrumple.sweep.table import Tell
+from jaxcrumple.sweeps.campaign import campaign
+from jaxcrumple.sweeps.table import Tell
 
 Runs = Mapping[str, Run]
 

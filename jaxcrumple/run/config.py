@@ -22,8 +22,9 @@ from jaxcrumple.options.units import (
     unit_of,
 )
 from jaxcrumple.options.validation import ConfigError, Place, shortened, validated
-from jaxcrumple.scenes import SCENES, SceneEntry, Setup
+from jaxcrumple.scenes.catalogue import SCENES, SceneEntry
 from jaxcrumple.scenes.functions import absolute, scene_entry
+from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.solvers.linear.registry import LinearSolverName
 from jaxcrumple.solvers.scheme import Integrator, Scheme, integrator, switch_of
 from jaxcrumple.solvers.switch import Switch

@@ -6,7 +6,7 @@ import pandas as pd
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from jaxcrumple.simulate import explain
+from jaxcrumple.simulation import explain
 from jaxcrumple.solvers.log import ENERGIES
 from jaxcrumple.state import STAGES, State
 

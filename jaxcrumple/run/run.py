@@ -24,8 +24,8 @@ from jaxcrumple.options.validation import ConfigError
 from jaxcrumple.run.config import PYTHON, RunConfig, SolverOptions, config_of
 from jaxcrumple.run.estimate import require_config
 from jaxcrumple.run.summary import physics
-from jaxcrumple.scenes import Setup
-from jaxcrumple.simulate import Observer, frame_times, simulate
+from jaxcrumple.scenes.setup import Setup
+from jaxcrumple.simulation import Observer, frame_times, simulate
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.solvers.start import check_start, pierced
 from jaxcrumple.state import RESULTS, STAGES, State, initial_state

@@ -14,7 +14,7 @@ from jaxcrumple.measure.intersections import count_intersections
 from jaxcrumple.measure.strain import edge_strain
 from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.scene import Scene
-from jaxcrumple.scenes import Setup
+from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.solvers.contact.reallocate import with_contacts
 from jaxcrumple.state import CAUSES, QUASISTATIC, State
 from jaxcrumple.system import energies

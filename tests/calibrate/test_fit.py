@@ -7,7 +7,8 @@ import optax
 import pytest
 
 import jaxcrumple as jc
-from jaxcrumple.calibrate import Experiment, Parameter, fit
+from jaxcrumple.calibrate.experiment import Experiment
+from jaxcrumple.calibrate.fit import Parameter, fit
 
 G, RATE, NOISE = 9.81, 200.0, 1e-6
 TIMES = np.array([5e-3, 10e-3, 15e-3, 20e-3])

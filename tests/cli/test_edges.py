@@ -19,7 +19,7 @@ from jaxcrumple.cli import cli, console
 from jaxcrumple.cli.console import OutputLostError, Stopped, noted, run_program, say
 from jaxcrumple.options.toml import DEEPEST, LARGEST, read_toml
 from jaxcrumple.run.config import configure
-from jaxcrumple.sweep.cluster import WorkersLostError
+from jaxcrumple.sweeps.cluster import WorkersLostError
 
 PACKAGE = Path(jc.__file__).parent
 ENTRY = PACKAGE / "cli" / "entry.py"

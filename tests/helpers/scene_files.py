@@ -7,7 +7,7 @@ import tomlkit
 
 from jaxcrumple.run.config import RunConfig, complete
 from jaxcrumple.run.scene_file import plain
-from jaxcrumple.scenes import SCENES
+from jaxcrumple.scenes.catalogue import SCENES
 
 CONTACT = {"contact": ["penalty", "barrier", "none"], "damping": ["central", "paper"]}
 LENGTHS = {

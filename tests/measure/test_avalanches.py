@@ -8,7 +8,7 @@ import pytest
 
 import jaxcrumple as jc
 from jaxcrumple.measure import avalanches, power_law_exponent, wall_force
-from jaxcrumple.replay.snaps import HIGH, REST
+from jaxcrumple.replays.snaps import HIGH, REST
 from jaxcrumple.solvers.log import AFTER, STEP
 
 SCALES = {"reference_acceleration": 1e8, "inertial_time": 1e-3, "length_scale": 0.1}

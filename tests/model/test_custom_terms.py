@@ -12,7 +12,7 @@ from jaxcrumple.mesh.generate import rectangle
 from jaxcrumple.model.loads import ElementEnergy
 from jaxcrumple.model.plasticity import AbstractFlowRule
 from jaxcrumple.scene import sheet
-from jaxcrumple.simulate import simulate
+from jaxcrumple.simulation import simulate
 from jaxcrumple.solvers.relax import relax
 from jaxcrumple.solvers.scheme import integrator
 from jaxcrumple.state import initial_state

@@ -11,7 +11,7 @@ from jaxcrumple.material.material import Material
 from jaxcrumple.run import run
 from jaxcrumple.run.check import check_built
 from jaxcrumple.run.config import ConfigError, RunConfig, configure
-from jaxcrumple.scenes import SCENES
+from jaxcrumple.scenes.catalogue import SCENES
 from jaxcrumple.solvers.implicit.bdf_pair import BDFPair
 from jaxcrumple.solvers.linear.block_jacobi import BlockCG
 from jaxcrumple.solvers.scheme import SCHEMES, integrator

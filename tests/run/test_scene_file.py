@@ -16,7 +16,7 @@ from jaxcrumple.run.check import described
 from jaxcrumple.run.config import complete, configure
 from jaxcrumple.run.estimate import estimate
 from jaxcrumple.run.template import template
-from jaxcrumple.scenes import SCENES
+from jaxcrumple.scenes.catalogue import SCENES
 
 FILE = """
 scene = "radial"

@@ -19,13 +19,13 @@ from jaxcrumple.geometry.intersections import close_pairs
 from jaxcrumple.io import RunDirectory
 from jaxcrumple.measure import curvature_distribution, volume_fraction
 from jaxcrumple.measure.raster import Raster
-from jaxcrumple.replay.record import StepRecorder
+from jaxcrumple.replays.record import StepRecorder
 from jaxcrumple.run.check import check_built
 from jaxcrumple.run.config import configure
 from jaxcrumple.run.estimate import estimate, require_config
-from jaxcrumple.simulate import frame_times
+from jaxcrumple.simulation import frame_times
 from jaxcrumple.solvers.log import Trail
-from jaxcrumple.sweep.cases import checked_grid
+from jaxcrumple.sweeps.cases import checked_grid
 
 MESH = jc.hexagonal(5, 4, 0.01)
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxcrumple as jc
-from jaxcrumple.scenes import SCENES
+from jaxcrumple.scenes.catalogue import SCENES
 from jaxcrumple.solvers.log import ENERGIES
 from jaxcrumple.state import Work
 

@@ -8,8 +8,8 @@ import pytest
 
 import jaxcrumple as jc
 from jaxcrumple.measure import mean_curvature
-from jaxcrumple.scenes import SCENES
 from jaxcrumple.scenes.axial import AxialTimes
+from jaxcrumple.scenes.catalogue import SCENES
 from jaxcrumple.scenes.options import SheetModel
 from jaxcrumple.scenes.sheets import SheetOptions, wrapped
 

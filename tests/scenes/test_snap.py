@@ -13,10 +13,11 @@ from scipy.sparse.linalg import spsolve
 from jaxcrumple.material.material import Material
 from jaxcrumple.run.config import configure
 from jaxcrumple.scene import sheet
-from jaxcrumple.scenes import SCENES, arch, cap, energy_drop, relaxed_drop
-from jaxcrumple.scenes.arch import strip
-from jaxcrumple.scenes.snap import fixed
-from jaxcrumple.simulate import simulate
+from jaxcrumple.scenes.arch import arch, strip
+from jaxcrumple.scenes.cap import cap
+from jaxcrumple.scenes.catalogue import SCENES
+from jaxcrumple.scenes.snap import energy_drop, fixed, relaxed_drop
+from jaxcrumple.simulation import simulate
 from jaxcrumple.solvers.relax import relax
 from jaxcrumple.solvers.scheme import integrator
 from jaxcrumple.state import initial_state

@@ -23,7 +23,7 @@ from lattice import (
 import jaxcrumple as jc
 from jaxcrumple.model.loads import ElementEnergy
 from jaxcrumple.scene import sheet
-from jaxcrumple.simulate import simulate
+from jaxcrumple.simulation import simulate
 from jaxcrumple.solvers.scheme import integrator
 from jaxcrumple.state import EXPLICIT, IMPLICIT, QUASISTATIC, initial_state
 from jaxcrumple.system import tangent

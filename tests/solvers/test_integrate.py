@@ -15,8 +15,8 @@ from lattice import elastic, held
 from jaxcrumple.io import load_checkpoint, save_checkpoint
 from jaxcrumple.material.material import Material
 from jaxcrumple.scene import sheet
-from jaxcrumple.scenes import radial
-from jaxcrumple.simulate import SimulationError, frame_times, simulate
+from jaxcrumple.scenes.radial import radial
+from jaxcrumple.simulation import SimulationError, frame_times, simulate
 from jaxcrumple.solvers.integrate import BUDGET, EXPLICIT_COST, IMPLICIT_COST, LIMIT_EVERY, integrate
 from jaxcrumple.solvers.linear.registry import direct_available
 from jaxcrumple.solvers.log import ENERGIES, empty_log

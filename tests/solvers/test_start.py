@@ -12,9 +12,9 @@ import jaxcrumple as jc
 from jaxcrumple.cli import cli
 from jaxcrumple.run.balance import start_balance
 from jaxcrumple.run.config import configure
-from jaxcrumple.simulate import simulate
+from jaxcrumple.simulation import simulate
 from jaxcrumple.solvers.start import check_start
-from jaxcrumple.sweep.campaign import _check as check_case
+from jaxcrumple.sweeps.campaign import _check as check_case
 
 PAIR = np.array([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.005, 0.01, 0.0], [0.005, -0.01, 0.0]])
 FACES = np.array([[0, 1, 2], [1, 0, 3]])

@@ -10,9 +10,9 @@ from jaxtyping import Array, Float
 
 from jaxcrumple._jax.arrays import Count, Flag, NodeVectors, Scalar
 from jaxcrumple._jax.door import door, own_modes
-from jaxcrumple.replay.contacts import StretchLists, in_step, in_stretch
-from jaxcrumple.replay.record import Record, Steps
-from jaxcrumple.replay.step import Point, RecordedStep, changed, newest, solved
+from jaxcrumple.replays.contacts import StretchLists, in_step, in_stretch
+from jaxcrumple.replays.record import Record, Steps
+from jaxcrumple.replays.step import Point, RecordedStep, changed, newest, solved
 from jaxcrumple.scene import Scene, with_lists
 from jaxcrumple.solvers.implicit.bdf import step_formula
 from jaxcrumple.solvers.linear.base import Factor

@@ -15,9 +15,9 @@ import pytest
 
 import jaxcrumple as jc
 from jaxcrumple.run.run import start_run
-from jaxcrumple.sweep import cluster
-from jaxcrumple.sweep.campaign import run_missing
-from jaxcrumple.sweep.cluster import connected
+from jaxcrumple.sweeps import cluster
+from jaxcrumple.sweeps.campaign import run_missing
+from jaxcrumple.sweeps.cluster import connected
 
 SETTINGS = {"nodes": 60, "scheme": "explicit", "frames": 3}
 RISES, LOADS = [0.0015, 0.002], [0.1, 0.15, 0.2, 0.25, 0.3, 0.35]

@@ -12,15 +12,15 @@ import xarray as xr
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.memory import require_run
 from jaxcrumple._jax.tree import require_limit
-from jaxcrumple.scenes import Setup
-from jaxcrumple.simulate import Times, checked_times
+from jaxcrumple.scenes.setup import Setup
+from jaxcrumple.simulation import Times, checked_times
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import initial_state
-from jaxcrumple.sweep.batch import run_batch
-from jaxcrumple.sweep.cases import Case, Grid, Limits, Scenes, cases_of, checked_grid
-from jaxcrumple.sweep.cluster import Cluster, local_workers
-from jaxcrumple.sweep.processes import run_processes
-from jaxcrumple.sweep.table import Measure, Tell, check_names, measured, standard_measure, table
+from jaxcrumple.sweeps.batch import run_batch
+from jaxcrumple.sweeps.cases import Case, Grid, Limits, Scenes, cases_of, checked_grid
+from jaxcrumple.sweeps.cluster import Cluster, local_workers
+from jaxcrumple.sweeps.processes import run_processes
+from jaxcrumple.sweeps.table import Measure, Tell, check_names, measured, standard_measure, table
 
 Backend = Literal["auto", "batch", "processes"]
 

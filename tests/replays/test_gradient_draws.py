@@ -9,7 +9,7 @@ from folded import folded, strip
 
 import jaxcrumple as jc
 from jaxcrumple.geometry.hinge import curvature
-from jaxcrumple.replay.step import Point
+from jaxcrumple.replays.step import Point
 from jaxcrumple.state import HISTORY, implicit_step
 from jaxcrumple.system import residual, updated_rest_curvature
 

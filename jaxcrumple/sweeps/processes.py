@@ -8,12 +8,12 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from jaxcrumple.simulate import simulate
+from jaxcrumple.simulation import simulate
 from jaxcrumple.solvers.start import check_start
 from jaxcrumple.state import State, initial_state
-from jaxcrumple.sweep.cases import Case, Limits, blamed
-from jaxcrumple.sweep.cluster import Cluster, WorkersLostError, connected, run_all
-from jaxcrumple.sweep.table import Frames, Measure, Outcome, Tell, broken
+from jaxcrumple.sweeps.cases import Case, Limits, blamed
+from jaxcrumple.sweeps.cluster import Cluster, WorkersLostError, connected, run_all
+from jaxcrumple.sweeps.table import Frames, Measure, Outcome, Tell, broken
 
 
 class _Observer:

@@ -10,12 +10,12 @@ import pandas as pd
 import pytest
 
 import jaxcrumple as jc
-from jaxcrumple.sweep import cases, cluster, processes
-from jaxcrumple.sweep.cluster import WorkersLostError
-from jaxcrumple.sweep.table import Outcome
+from jaxcrumple.sweeps import cases, cluster, processes
+from jaxcrumple.sweeps.cluster import WorkersLostError
+from jaxcrumple.sweeps.table import Outcome
 
 # The package has a function of this name too.
-campaigns = __import__("importlib").import_module("jaxcrumple.sweep.campaign")
+campaigns = __import__("importlib").import_module("jaxcrumple.sweeps.campaign")
 
 RUNS = jc.grid("arch", {"load": [0.1, 0.2, 0.3]}, {"nodes": 60}, t_end=1e-4)
 NAMES = list(RUNS)

@@ -18,7 +18,7 @@ from jaxcrumple._jax.program_cache import make_room
 from jaxcrumple._jax.threads import limited_blas
 from jaxcrumple._jax.tree import as_float, is_number, require_limit
 from jaxcrumple.model.loads import check_motion
-from jaxcrumple.replay.record import Record, StepRecorder
+from jaxcrumple.replays.record import Record, StepRecorder
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.contact.reallocate import Reallocation
 from jaxcrumple.solvers.integrate import integrate

@@ -12,8 +12,8 @@ import pytest
 import xarray as xr
 
 import jaxcrumple as jc
-from jaxcrumple.sweep import lanes
-from jaxcrumple.sweep.cluster import connected
+from jaxcrumple.sweeps import lanes
+from jaxcrumple.sweeps.cluster import connected
 
 LOADS, TIMES = (0.3, 0.1, 0.2), (5e-4, 1e-3)
 SETTINGS = {"nodes": 60, "scheme": "explicit"}

@@ -15,14 +15,14 @@ from jaxcrumple._jax.memory import require
 from jaxcrumple._jax.program_cache import make_room
 from jaxcrumple._jax.threads import limited_blas
 from jaxcrumple.scene import Scene
-from jaxcrumple.simulate import MOST_WAITS, RESULT_NAMES
+from jaxcrumple.simulation import MOST_WAITS, RESULT_NAMES
 from jaxcrumple.solvers.contact.reallocate import batch_with_contacts
 from jaxcrumple.solvers.start import check_gap, check_start, pierced
 from jaxcrumple.state import RESULTS, State, initial_state
-from jaxcrumple.sweep import lanes
-from jaxcrumple.sweep.cases import Case, Limits, blamed
-from jaxcrumple.sweep.lanes import AXIS, Inputs, differing, lane, lanes_of, spread, stacked
-from jaxcrumple.sweep.table import Frames, Measure, Outcome, Tell
+from jaxcrumple.sweeps import lanes
+from jaxcrumple.sweeps.cases import Case, Limits, blamed
+from jaxcrumple.sweeps.lanes import AXIS, Inputs, differing, lane, lanes_of, spread, stacked
+from jaxcrumple.sweeps.table import Frames, Measure, Outcome, Tell
 
 # Bytes per node and lane of a scene and a state.
 LANE = 6e3

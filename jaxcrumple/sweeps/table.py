@@ -9,9 +9,9 @@ import xarray as xr
 from jaxtyping import Float
 
 from jaxcrumple.run.summary import figures
-from jaxcrumple.scenes import Setup
+from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.state import CAUSES, STAGES, State
-from jaxcrumple.sweep.cases import Grid
+from jaxcrumple.sweeps.cases import Grid
 
 Measure = Callable[[Setup, State], Mapping[str, Any]]
 Tell = Callable[[str, str], None]

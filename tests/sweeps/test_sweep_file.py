@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 import jaxcrumple as jc
 from jaxcrumple.cli.cli import app
-from jaxcrumple.sweep.file import read_sweep
+from jaxcrumple.sweeps.file import read_sweep
 
 FILE = """
 scene = "arch"

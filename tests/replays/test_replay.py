@@ -11,8 +11,8 @@ from folded import folded, strip
 import jaxcrumple as jc
 from jaxcrumple.geometry.hinge import curvature
 from jaxcrumple.model.loads import dead_load
-from jaxcrumple.replay import replay
-from jaxcrumple.replay.snaps import HIGH, MOST, snaps
+from jaxcrumple.replays.replay import replay
+from jaxcrumple.replays.snaps import HIGH, MOST, snaps
 from jaxcrumple.state import EXPLICIT, IMPLICIT, QUASISTATIC
 
 COLUMNS, RANGE = (4, 4), 0.5e-3

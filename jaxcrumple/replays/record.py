@@ -10,8 +10,8 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 from jaxcrumple._jax.arrays import Scalar
 from jaxcrumple._jax.memory import gigabytes, times_that_fit
 from jaxcrumple.contact.lists import doubled
-from jaxcrumple.replay.contacts import StretchLists, make_lists
-from jaxcrumple.replay.snaps import snaps
+from jaxcrumple.replays.contacts import StretchLists, make_lists
+from jaxcrumple.replays.snaps import snaps
 from jaxcrumple.scene import Scene, with_lists
 from jaxcrumple.solvers.explicit.base import AbstractExplicit
 from jaxcrumple.solvers.implicit.bdf_pair import BDFPair

@@ -12,7 +12,7 @@ import numpy as np
 from jaxcrumple._jax.memory import require
 from jaxcrumple.options.validation import ConfigError
 from jaxcrumple.run.config import RunConfig, configure
-from jaxcrumple.scenes import Setup
+from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.solvers.scheme import Integrator, integrator
 
 Scenes = str | Callable[..., Setup]

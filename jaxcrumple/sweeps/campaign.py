@@ -20,9 +20,9 @@ from jaxcrumple.run.estimate import require_config
 from jaxcrumple.run.run import resume_run, start_run, stored_config
 from jaxcrumple.solvers.start import check_start
 from jaxcrumple.state import initial_state
-from jaxcrumple.sweep.cases import blamed
-from jaxcrumple.sweep.cluster import Cluster, connected, local_workers, run_all
-from jaxcrumple.sweep.table import Tell
+from jaxcrumple.sweeps.cases import blamed
+from jaxcrumple.sweeps.cluster import Cluster, connected, local_workers, run_all
+from jaxcrumple.sweeps.table import Tell
 
 TABLE = "campaign.csv"
 # Longest name of a folder in bytes. The folder of the campaign also holds a table and the locks.

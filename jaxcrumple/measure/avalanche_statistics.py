@@ -1,6 +1,6 @@
 """Avalanches: duration and released energy of the snaps of a crumpling sheet.
 
-A snap begins where inertia is not negligible. The criterion is that of `jaxcrumple.replay.snaps`: without
+A snap begins where inertia is not negligible. The criterion is that of `jaxcrumple.replays.snaps`: without
 inertia, positions would change by more than a given fraction of the size of the sheet.
 """
 
@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import ArrayLike, Float, Int, Real
 
-from jaxcrumple.replay.snaps import HIGH, REST
+from jaxcrumple.replays.snaps import HIGH, REST
 from jaxcrumple.solvers.log import STEP
 
 STORED = ("stretch", "bending", "contact")
