@@ -317,7 +317,15 @@ def scenes(
 
 
 def _print_options(model: "type[BaseModel]") -> None:
-    options = ", ".join(f"{name}={field.default}" for name, field in model.model_fields.items())
+    from jaxcrumple.options.units import unit_of
+
+    def shown(field: Any) -> str:
+        unit = unit_of(field)
+        return (
+            f"{field.default}" if unit is None or field.default is None else f"{field.default} {unit.symbol}"
+        )
+
+    options = ", ".join(f"{name}={shown(field)}" for name, field in model.model_fields.items())
     console.print(f"  {model.__doc__}\n    {options}", markup=False)
 
 

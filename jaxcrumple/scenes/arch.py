@@ -10,6 +10,7 @@ from jaxcrumple.mesh.generate import hexagonal
 from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.model.loads import dead_load
 from jaxcrumple.scene import sheet
+from jaxcrumple.scenes.quantities import Damping, Duration, Imperfection, Length, Load
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import smooth_imperfection
 from jaxcrumple.scenes.snap import check_positive, fixed, sheet_material
@@ -23,14 +24,14 @@ def arch(
     nodes: int = 400,
     seed: int = 0,
     *,
-    length: float = 0.03,
-    width: float = 0.006,
-    rise: float = 0.002,
-    load: float = 0.2,
-    ramp: float = 0.03,
-    imperfection: float = 25e-6,
+    length: Length = 0.03,
+    width: Length = 0.006,
+    rise: Length = 0.002,
+    load: Load = 0.2,
+    ramp: Duration = 0.03,
+    imperfection: Imperfection = 25e-6,
     plastic: bool = False,
-    damping: str = "central",
+    damping: Damping = "central",
     material: Material | None = None,
 ) -> Setup:
     """Build a strip clamped at both ends, whose stress-free shape is a circular arch over the x axis.

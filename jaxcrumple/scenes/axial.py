@@ -20,6 +20,7 @@ from jaxcrumple._jax.memory import require
 from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.model.loads import ElementEnergy
 from jaxcrumple.model.walls import AbstractShape, Cylinder, PiecewiseLinear, Plane, of_time
+from jaxcrumple.scenes.quantities import Cycles, Duration, Length
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions, upright, wrapped
 from jaxcrumple.scenes.snap import check_gap, check_positive
@@ -65,10 +66,10 @@ def cylindrical(
     nodes: int = 1000,
     seed: int = 0,
     *,
-    size: float = 0.1,
-    radius: float = 0.017,
-    height: float = 0.045,
-    compress: float = TIMES.compress,
+    size: Length = 0.1,
+    radius: Length = 0.017,
+    height: Length = 0.045,
+    compress: Duration = TIMES.compress,
     **options: Any,
 ) -> Setup:
     """Build a square sheet, rolled up in a cylinder, that two planes compress along the axis.
@@ -107,17 +108,17 @@ def axial(
     nodes: int = 2000,
     seed: int = 0,
     *,
-    cycles: int = 5,
-    size: float = 0.1,
-    radius: float = 0.017,
-    height: float = 0.045,
-    gap: float = 2e-3,
-    roll: float = TIMES.roll,
-    compress: float = TIMES.compress,
-    open: float = TIMES.open,
-    unfold: float = TIMES.unfold,
-    flatten: float = TIMES.flatten,
-    rest: float = TIMES.rest,
+    cycles: Cycles = 5,
+    size: Length = 0.1,
+    radius: Length = 0.017,
+    height: Length = 0.045,
+    gap: Length = 2e-3,
+    roll: Duration = TIMES.roll,
+    compress: Duration = TIMES.compress,
+    open: Duration = TIMES.open,
+    unfold: Duration = TIMES.unfold,
+    flatten: Duration = TIMES.flatten,
+    rest: Duration = TIMES.rest,
     **options: Any,
 ) -> Setup:
     """Build a square sheet that is repeatedly rolled up, compressed, unfolded and flattened.

@@ -8,7 +8,9 @@ from jaxcrumple._jax.door import door
 from jaxcrumple.material.material import Material
 from jaxcrumple.mesh.generate import disc
 from jaxcrumple.model.loads import dead_load
+from jaxcrumple.options.units import Metre
 from jaxcrumple.scene import sheet
+from jaxcrumple.scenes.quantities import Damping, Duration, Length, Load, Sweeps
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.snap import check_positive, fixed, sheet_material
 
@@ -18,15 +20,15 @@ def cap(
     nodes: int = 400,
     seed: int = 0,
     *,
-    radius: float = 0.025,
-    rise: float = 0.001,
-    load: float = 0.3,
-    patch: float = 0.01,
-    offset: float = 0.25e-3,
-    ramp: float = 0.03,
-    sweeps: int = 100,
+    radius: Length = 0.025,
+    rise: Length = 0.001,
+    load: Load = 0.3,
+    patch: Length = 0.01,
+    offset: Metre = 0.25e-3,
+    ramp: Duration = 0.03,
+    sweeps: Sweeps = 100,
     plastic: bool = False,
-    damping: str = "central",
+    damping: Damping = "central",
     material: Material | None = None,
 ) -> Setup:
     """Build a disc whose stress-free shape is a spherical cap, with a pinned rim (fixed, but free to rotate).

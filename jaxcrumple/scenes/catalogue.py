@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel
 
-from jaxcrumple.scenes import options
 from jaxcrumple.scenes.arch import arch
 from jaxcrumple.scenes.axial import AxialTimes, axial, cylindrical
 from jaxcrumple.scenes.cap import cap
@@ -15,6 +14,7 @@ from jaxcrumple.scenes.custom import custom
 from jaxcrumple.scenes.custom_options import CustomOptions, custom_walls
 from jaxcrumple.scenes.dcone import dcone, dcone_time
 from jaxcrumple.scenes.fold import FoldTimes, fold
+from jaxcrumple.scenes.options import options_of
 from jaxcrumple.scenes.radial import radial, unload
 from jaxcrumple.scenes.ridge import ridge
 from jaxcrumple.scenes.setup import Setup
@@ -93,7 +93,7 @@ def _told(*words: str) -> Callable[[Given], Sequence[str]]:
 SCENES: dict[str, SceneEntry] = {
     "radial": SceneEntry(
         radial,
-        options.RadialOptions,
+        options_of(radial),
         _always(2.6),
         "square sheet in a sphere that shrinks from 7.1 cm at 1 cm/s (Figs. 5, 6, 8)",
         lasts=_radial_lasts,
@@ -102,21 +102,21 @@ SCENES: dict[str, SceneEntry] = {
     ),
     "unload": SceneEntry(
         unload,
-        options.UnloadOptions,
+        options_of(unload),
         _way_back,
         "square sheet in a sphere that shrinks, rests and expands again: hysteresis and springback",
         walls=_told("sphere, from {radius:g} to {least:g} m and back at {speed:g} m/s"),
     ),
     "cylindrical": SceneEntry(
         cylindrical,
-        options.CylindricalOptions,
+        options_of(cylindrical),
         lambda given: given["compress"],
         "square sheet rolled up in a cylinder and compressed along the axis (Fig. 7)",
         walls=_told("cylinder of radius {radius:g} m", "two planes across it, down to {height:g} m"),
     ),
     "axial": SceneEntry(
         axial,
-        options.AxialOptions,
+        options_of(axial),
         lambda given: given["cycles"] * _sum(AxialTimes._fields)(given),
         "square sheet repeatedly rolled up, compressed, unfolded and flattened (Fig. 9)",
         walls=_told(
@@ -127,53 +127,53 @@ SCENES: dict[str, SceneEntry] = {
     ),
     "stamping": SceneEntry(
         stamping,
-        options.StampingOptions,
+        options_of(stamping),
         _of(stamping_time, "die", "radius", "gap", "speed"),
         "disc pressed into a spherical die by a ball (Fig. 7)",
         walls=_told("die of radius {die:g} m", "ball that descends to {gap:g} m above it at {speed:g} m/s"),
     ),
     "shell": SceneEntry(
         shell,
-        options.ShellOptions,
+        options_of(shell),
         _of(shell_time, "radius", "curvature_radius", "gap", "speed"),
         "curved shell pressed flat between two plates",
         walls=_told("two plates, down to {gap:g} m at {speed:g} m/s"),
     ),
     "conical": SceneEntry(
         conical,
-        options.ConicalOptions,
+        options_of(conical),
         lambda given: given["pull"] / given["speed"],
         "disc pulled by its middle through a small hole (Fig. 7)",
         walls=_told("plate with a hole of radius {opening:g} m"),
     ),
     "ridge": SceneEntry(
         ridge,
-        options.RidgeOptions,
+        options_of(ridge),
         lambda given: 1.5 * given["close"],
         "sheet bent to a sharp corner at both ends, with a ridge in between",
     ),
     "dcone": SceneEntry(
         dcone,
-        options.DconeOptions,
+        options_of(dcone),
         lambda given: 1.5 * dcone_time(given["radius"], given["slope"], given["speed"]),
         "disc pushed into a hollow cone at its middle: a developable cone",
         walls=_told("cone of slope {slope:g} that rises at {speed:g} m/s"),
     ),
     "arch": SceneEntry(
         arch,
-        options.ArchOptions,
+        options_of(arch),
         _always(0.05),
         "clamped shallow arch that snaps through under a load at midspan",
     ),
     "cap": SceneEntry(
         cap,
-        options.CapOptions,
+        options_of(cap),
         _always(0.05),
         "shallow spherical cap, pinned at its rim, inverted by a load",
     ),
     "fold": SceneEntry(
         fold,
-        options.FoldOptions,
+        options_of(fold),
         _sum(FoldTimes._fields),
         "square sheet folded in half, pressed and released (Fig. 3b)",
         walls=_told("two plates that close and retract"),

@@ -16,6 +16,7 @@ from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float
 from jaxcrumple.model.loads import AbstractMotion, Prescribed
 from jaxcrumple.model.walls import HoledPlate, OfTime, PiecewiseLinear, of_time
+from jaxcrumple.scenes.quantities import Length, Speed
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions
 from jaxcrumple.scenes.snap import check_positive
@@ -38,12 +39,12 @@ def conical(
     nodes: int = 1000,
     seed: int = 0,
     *,
-    radius: float = 0.05,
-    opening: float = 0.015,
-    edge: float = 0.005,
-    pull: float = 0.025,
-    speed: float = 0.02,
-    grip: float = 0.006,
+    radius: Length = 0.05,
+    opening: Length = 0.015,
+    edge: Length = 0.005,
+    pull: Length = 0.025,
+    speed: Speed = 0.02,
+    grip: Length = 0.006,
     **options: Any,
 ) -> Setup:
     """Build a disc on a plate with a hole; its middle is pulled through the hole.

@@ -16,15 +16,14 @@ from pydantic import (
 )
 
 from jaxcrumple.contact.parameters import Potential
-from jaxcrumple.contact.sites import MOST_LEVEL
 from jaxcrumple.mesh.files import MeshError
 from jaxcrumple.mesh.files.sheet import unit_length
 from jaxcrumple.options.units import (
-    LENGTH,
     TIME,
     Metre,
     MetrePerSecondSquared,
 )
+from jaxcrumple.scenes.quantities import ContactLevel, Damping, Length
 from jaxcrumple.scenes.tables import ORIGIN, Axis, OptionTable, Position, PositiveMetre, Velocity, is_table
 from jaxcrumple.scenes.wall_options import AnyWall
 
@@ -154,10 +153,10 @@ class CustomOptions(OptionTable):
     walls: list[AnyWall] = Field([])
     supports: list[Support] = Field([])
     gravity: Annotated[list[MetrePerSecondSquared], Len(3, 3)] | None = None
-    damping: Literal["central", "paper"] = "central"
+    damping: Damping = "central"
     contact: Potential | None = "penalty"
-    contact_range: Annotated[float | None, LENGTH] = Field(None, gt=0)
-    contact_level: int | None = Field(None, ge=0, le=MOST_LEVEL)
+    contact_range: Length | None = None
+    contact_level: ContactLevel | None = None
 
     @model_validator(mode="after")
     def _of_a_contact(self) -> "CustomOptions":

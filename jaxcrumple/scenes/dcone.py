@@ -16,6 +16,7 @@ from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float
 from jaxcrumple.model.loads import LinearMotion, Prescribed
 from jaxcrumple.model.walls import Cone, PiecewiseLinear
+from jaxcrumple.scenes.quantities import Length, Slope, Speed
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions
 from jaxcrumple.scenes.snap import check_positive
@@ -29,9 +30,9 @@ def dcone(
     nodes: int = 2000,
     seed: int = 0,
     *,
-    radius: float = 0.05,
-    slope: float = 0.1,
-    speed: float = 0.02,
+    radius: Length = 0.05,
+    slope: Slope = 0.1,
+    speed: Speed = 0.02,
     **options: Any,
 ) -> Setup:
     """Build a disc that is held at its middle while a hollow cone rises around it.

@@ -18,6 +18,7 @@ from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.model.loads import AbstractMotion, Prescribed
 from jaxcrumple.model.walls import PiecewiseLinear, Plane
 from jaxcrumple.scene import sheet
+from jaxcrumple.scenes.quantities import Duration, Length, Sweeps
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.snap import check_gap, check_positive
 
@@ -82,13 +83,13 @@ def fold(
     nodes: int = 1000,
     seed: int = 0,
     *,
-    size: float = SIZE,
-    gap: float | None = None,
-    close: float = TIMES.close,
-    press: float = TIMES.press,
-    hold: float = TIMES.hold,
-    relax: float = TIMES.relax,
-    sweeps: int = 100,
+    size: Length = SIZE,
+    gap: Length | None = None,
+    close: Duration = TIMES.close,
+    press: Duration = TIMES.press,
+    hold: Duration = TIMES.hold,
+    relax: Duration = TIMES.relax,
+    sweeps: Sweeps = 100,
     material: Material | None = None,
 ) -> Setup:
     """Build a square sheet that is folded in half, pressed between two plates, held, and released.

@@ -15,10 +15,8 @@ from jaxcrumple.options.suggest import nearest
 from jaxcrumple.options.units import si_of_any
 from jaxcrumple.options.validation import ConfigError
 from jaxcrumple.scenes.catalogue import SCENES, SceneEntry
+from jaxcrumple.scenes.options import GIVEN, option_fields
 from jaxcrumple.scenes.setup import Setup
-
-# Parameters of a scene function that are no options of the scene.
-GIVEN = ("nodes", "seed", "material")
 
 
 def scene_entry(name: Any) -> SceneEntry:
@@ -105,11 +103,7 @@ def _entry_of(function: Callable[..., Setup], name: str) -> SceneEntry:
             "def scene(nodes, seed, *, material, width=0.1) -> Setup.",
             ("scene",),
         )
-    options: dict[str, Any] = {
-        key: (_annotation(parameter), ... if parameter.default is parameter.empty else parameter.default)
-        for key, parameter in parameters.items()
-        if key not in GIVEN
-    }
+    options = option_fields({key: _with_unit(parameter) for key, parameter in parameters.items()})
     model = create_model(f"Options of {name}", __base__=_FunctionOptions, **options)
     summary = (inspect.getdoc(function) or "scene of the user").splitlines()[0].rstrip(".")
     return SceneEntry(_checked(function, name), model, _no_end, summary, own=True)
@@ -121,12 +115,14 @@ class _FunctionOptions(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
 
 
-def _annotation(parameter: inspect.Parameter) -> Any:
-    """Return the type of an option; numbers may carry a unit of any dimension."""
+def _with_unit(parameter: inspect.Parameter) -> inspect.Parameter:
+    """Return an option whose type is stated; a number may carry a unit of any dimension."""
     kind = parameter.annotation
     if kind is parameter.empty:
         kind = float if isinstance(parameter.default, float) else Any
-    return Annotated[float, BeforeValidator(si_of_any)] if kind in (float, "float") else kind
+    if kind in (float, "float"):
+        kind = Annotated[float, BeforeValidator(si_of_any)]
+    return parameter.replace(annotation=kind)
 
 
 def _checked(function: Callable[..., Setup], name: str) -> Callable[..., Setup]:

@@ -1,16 +1,18 @@
-"""Options of the scenes in the catalogue: validated models in SI units; strings may contain units."""
+"""Options of the scenes in the catalogue: models made from the signatures of the scene functions."""
 
-import math
-from typing import Annotated, Literal, Self
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from typing import Any, Self, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, create_model, model_validator
 
-from jaxcrumple.contact.parameters import Potential
-from jaxcrumple.contact.sites import MOST_LEVEL
-from jaxcrumple.options.units import LENGTH, TIME, Metre, MetrePerSecond, Newton, Radian, Second
-from jaxcrumple.scenes.axial import TIMES as AXIAL
 from jaxcrumple.scenes.custom_options import refuse_idle_contact
-from jaxcrumple.scenes.fold import TIMES
+from jaxcrumple.scenes.setup import Setup
+from jaxcrumple.scenes.sheets import SheetOptions
+
+# Parameters of a scene function that are no options of the scene.
+GIVEN = ("nodes", "seed", "material")
 
 
 class SceneOptions(BaseModel):
@@ -19,144 +21,43 @@ class SceneOptions(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class SheetModel(SceneOptions):
-    """Options that the scenes of crumpled sheets share; lengths in m."""
-
-    imperfection: Metre = Field(25e-6, ge=0)
-    sweeps: int = Field(100, ge=0)
-    damping: Literal["central", "paper"] = "central"
-    contact: Potential | None = "penalty"
-    contact_range: Annotated[float | None, LENGTH] = Field(None, gt=0)
-    contact_level: int | None = Field(None, ge=0, le=MOST_LEVEL)
-
+class _SheetOptions(SceneOptions):
     @model_validator(mode="after")
     def _of_a_contact(self) -> Self:
         refuse_idle_contact(self)
         return self
 
 
-class RadialOptions(SheetModel):
-    """Options of `radial`; lengths in m, speed in m/s, time in s."""
-
-    size: Metre = Field(0.1, gt=0)
-    radius: Metre = Field(0.071, gt=0)
-    speed: MetrePerSecond = Field(0.01, gt=0)
-    hold: Annotated[float | None, TIME] = Field(None, gt=0)
-
-
-class UnloadOptions(SheetModel):
-    """Options of `unload`; lengths in m, speed in m/s, time in s."""
-
-    size: Metre = Field(0.1, gt=0)
-    radius: Metre = Field(0.071, gt=0)
-    least: Metre = Field(0.045, gt=0)
-    speed: MetrePerSecond = Field(0.01, gt=0)
-    hold: Second = Field(0.1, gt=0)
+def _shared() -> type[BaseModel]:
+    """Return the model of the options that the scenes of crumpled sheets share, `SheetOptions`."""
+    hints = get_type_hints(SheetOptions, include_extras=True)
+    found: dict[str, Any] = {
+        field.name: (hints[field.name], field.default)
+        for field in fields(SheetOptions)
+        if field.name not in GIVEN
+    }
+    return create_model("SheetModel", __base__=_SheetOptions, **found)
 
 
-class CylindricalOptions(SheetModel):
-    """Options of `cylindrical`; lengths in m, times in s."""
-
-    size: Metre = Field(0.1, gt=0)
-    radius: Metre = Field(0.017, gt=0)
-    height: Metre = Field(0.045, gt=0)
-    compress: Second = Field(AXIAL.compress, gt=0)
+SheetModel = _shared()
 
 
-class AxialOptions(CylindricalOptions):
-    """Options of `axial`; lengths in m, times in s."""
+def options_of(function: Callable[..., Setup]) -> type[BaseModel]:
+    """Return the model of the options of a scene: the keyword parameters of its function, with defaults.
 
-    cycles: int = Field(5, ge=1, le=1000)
-    roll: Second = Field(AXIAL.roll, gt=0)
-    gap: Metre = Field(2e-3, gt=0)
-    open: Second = Field(AXIAL.open, gt=0)
-    unfold: Second = Field(AXIAL.unfold, gt=0)
-    flatten: Second = Field(AXIAL.flatten, gt=0)
-    rest: Second = Field(AXIAL.rest, gt=0)
-
-
-class StampingOptions(SheetModel):
-    """Options of `stamping`; lengths in m, speed in m/s."""
-
-    radius: Metre = Field(0.05, gt=0)
-    die: Metre = Field(0.053, gt=0)
-    gap: Metre = Field(5e-3, gt=0)
-    speed: MetrePerSecond = Field(0.02, gt=0)
+    A function that passes further options on to its sheet has those of `SheetOptions`, too.
+    """
+    parameters = inspect.signature(function).parameters
+    passes_on = inspect.Parameter.VAR_KEYWORD in {parameter.kind for parameter in parameters.values()}
+    base = SheetModel if passes_on else SceneOptions
+    name = f"Options of `{function.__name__}`"
+    return create_model(name, __base__=base, __doc__=f"{name}.", **option_fields(parameters))
 
 
-class ShellOptions(SheetModel):
-    """Options of `shell`; lengths in m, speed in m/s."""
-
-    radius: Metre = Field(0.05, gt=0)
-    curvature_radius: Metre = Field(0.06, gt=0)
-    gap: Metre = Field(2e-3, gt=0)
-    speed: MetrePerSecond = Field(0.02, gt=0)
-
-
-class ConicalOptions(SheetModel):
-    """Options of `conical`; lengths in m, speed in m/s."""
-
-    radius: Metre = Field(0.05, gt=0)
-    opening: Metre = Field(0.015, gt=0)
-    edge: Metre = Field(5e-3, gt=0)
-    pull: Metre = Field(0.025, gt=0)
-    speed: MetrePerSecond = Field(0.02, gt=0)
-    grip: Metre = Field(6e-3, gt=0)
-
-
-class RidgeOptions(SheetModel):
-    """Options of `ridge`; lengths in m, angle in rad, time in s."""
-
-    length: Metre = Field(0.1, gt=0)
-    width: Metre = Field(0.1, gt=0)
-    turn: Radian = Field(0.5 * math.pi, gt=0, lt=math.pi)
-    close: Second = Field(0.2, gt=0)
-
-
-class DconeOptions(SheetModel):
-    """Options of `dcone`; length in m, speed in m/s."""
-
-    radius: Metre = Field(0.05, gt=0)
-    slope: float = Field(0.1, gt=0)
-    speed: MetrePerSecond = Field(0.02, gt=0)
-
-
-class SnapOptions(SceneOptions):
-    """Options that `arch` and `cap` share; load in N, duration `ramp` of its growth in s."""
-
-    ramp: Second = Field(0.03, gt=0)
-    plastic: bool = False
-    damping: Literal["central", "paper"] = "central"
-
-
-class ArchOptions(SnapOptions):
-    """Options of `arch`; lengths in m."""
-
-    length: Metre = Field(0.03, gt=0)
-    width: Metre = Field(0.006, gt=0)
-    rise: Metre = Field(0.002, gt=0)
-    load: Newton = Field(0.2, gt=0)
-    imperfection: Metre = Field(25e-6, ge=0)
-
-
-class CapOptions(SnapOptions):
-    """Options of `cap`; lengths in m."""
-
-    radius: Metre = Field(0.025, gt=0)
-    rise: Metre = Field(0.001, gt=0)
-    load: Newton = Field(0.3, gt=0)
-    patch: Metre = Field(0.01, gt=0)
-    offset: Metre = 0.25e-3
-    sweeps: int = Field(100, ge=0)
-
-
-class FoldOptions(SceneOptions):
-    """Options of `fold`; lengths in m, times in s."""
-
-    size: Metre = Field(0.1, gt=0)
-    gap: Metre | None = Field(None, gt=0)
-    close: Second = Field(TIMES.close, gt=0)
-    press: Second = Field(TIMES.press, gt=0)
-    hold: Second = Field(TIMES.hold, gt=0)
-    relax: Second = Field(TIMES.relax, gt=0)
-    sweeps: int = Field(100, ge=0)
+def option_fields(parameters: Mapping[str, inspect.Parameter]) -> dict[str, Any]:
+    """Return type and default of each parameter that is an option; `...` for a default that is missing."""
+    return {
+        key: (parameter.annotation, ... if parameter.default is parameter.empty else parameter.default)
+        for key, parameter in parameters.items()
+        if key not in GIVEN and parameter.kind is not parameter.VAR_KEYWORD
+    }

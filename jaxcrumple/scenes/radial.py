@@ -8,6 +8,7 @@ import numpy as np
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float
 from jaxcrumple.model.walls import PiecewiseLinear, Ramp, Sphere
+from jaxcrumple.scenes.quantities import Duration, Length, Speed
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions
 from jaxcrumple.scenes.snap import check_positive
@@ -18,10 +19,10 @@ def radial(
     nodes: int = 1000,
     seed: int = 0,
     *,
-    size: float = 0.1,
-    radius: float = 0.071,
-    speed: float = 0.01,
-    hold: float | None = None,
+    size: Length = 0.1,
+    radius: Length = 0.071,
+    speed: Speed = 0.01,
+    hold: Duration | None = None,
     **options: Any,
 ) -> Setup:
     """Build a square sheet in a sphere that shrinks at constant speed.
@@ -51,11 +52,11 @@ def unload(
     nodes: int = 1000,
     seed: int = 0,
     *,
-    size: float = 0.1,
-    radius: float = 0.071,
-    least: float = 0.045,
-    speed: float = 0.01,
-    hold: float = 0.1,
+    size: Length = 0.1,
+    radius: Length = 0.071,
+    least: Length = 0.045,
+    speed: Speed = 0.01,
+    hold: Duration = 0.1,
     **options: Any,
 ) -> Setup:
     """Build a square sheet in a sphere that shrinks, rests and expands again.

@@ -19,6 +19,7 @@ from jaxcrumple.mesh.generate import rectangle
 from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.model.loads import AbstractMotion, Prescribed
 from jaxcrumple.model.walls import PiecewiseLinear
+from jaxcrumple.scenes.quantities import Angle, Duration, Length
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions
 from jaxcrumple.scenes.snap import check_positive
@@ -51,10 +52,10 @@ def ridge(
     nodes: int = 3000,
     seed: int = 0,
     *,
-    length: float = 0.1,
-    width: float = 0.1,
-    turn: float = 0.5 * math.pi,
-    close: float = 0.2,
+    length: Length = 0.1,
+    width: Length = 0.1,
+    turn: Angle = 0.5 * math.pi,
+    close: Duration = 0.2,
     **options: Any,
 ) -> Setup:
     """Build a rectangular sheet, `length` along y and `width` along x, bent at its ends about the line x = 0.

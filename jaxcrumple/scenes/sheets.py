@@ -15,6 +15,7 @@ from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.model.loads import ElementEnergy, Prescribed
 from jaxcrumple.model.walls import AbstractShape
 from jaxcrumple.scene import sheet
+from jaxcrumple.scenes.quantities import ContactLevel, Damping, Imperfection, Length, Sweeps
 from jaxcrumple.scenes.setup import Setup
 
 # Shortest wavelength of the initial imperfection in m.
@@ -33,12 +34,12 @@ class SheetOptions:
     `material`: default `Material()`.
     """
 
-    imperfection: float = 25e-6
-    sweeps: int = 100
-    damping: str = "central"
+    imperfection: Imperfection = 25e-6
+    sweeps: Sweeps = 100
+    damping: Damping = "central"
     contact: Potential | None = "penalty"
-    contact_range: float | None = None
-    contact_level: int | None = None
+    contact_range: Length | None = None
+    contact_level: ContactLevel | None = None
     material: Material = field(default_factory=Material)
 
     def reaching(self, thicknesses: float) -> "SheetOptions":

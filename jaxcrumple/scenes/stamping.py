@@ -13,6 +13,7 @@ import numpy as np
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float
 from jaxcrumple.model.walls import Ball, PiecewiseLinear, Plane, Sphere, of_time
+from jaxcrumple.scenes.quantities import Length, Speed
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import SheetOptions, wrapped
 from jaxcrumple.scenes.snap import check_gap, check_positive
@@ -25,10 +26,10 @@ def stamping(
     nodes: int = 1000,
     seed: int = 0,
     *,
-    radius: float = 0.05,
-    die: float = 0.053,
-    gap: float = 5e-3,
-    speed: float = 0.02,
+    radius: Length = 0.05,
+    die: Length = 0.053,
+    gap: Length = 5e-3,
+    speed: Speed = 0.02,
     **options: Any,
 ) -> Setup:
     """Build a disc in a spherical die and a ball that presses it to the bottom.
@@ -75,10 +76,10 @@ def shell(
     nodes: int = 1000,
     seed: int = 0,
     *,
-    radius: float = 0.05,
-    curvature_radius: float = 0.06,
-    gap: float = 2e-3,
-    speed: float = 0.02,
+    radius: Length = 0.05,
+    curvature_radius: Length = 0.06,
+    gap: Length = 2e-3,
+    speed: Speed = 0.02,
     **options: Any,
 ) -> Setup:
     """Build a shell, a spherical cap at rest, that two plates press flat.
