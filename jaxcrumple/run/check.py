@@ -20,7 +20,8 @@ def described(config: RunConfig) -> list[str]:
     nodes = config.nodes if mesh is None else mesh.n_nodes
     entry = scene_entry(config.scene)
     walls = ("as the function builds them",) if entry.own else entry.walls(options)
-    contact = options.get("contact") or "none: the sheet passes through itself"
+    unknown = "as the function builds it" if entry.own else None
+    contact = options.get("contact", unknown) or "none: the sheet passes through itself"
     solver = config.solver
     return [
         f"scene: {config.scene}, {entry.summary}",

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from jaxcrumple._jax.memory import require, require_run, run_bytes
 from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.run.config import RunConfig
+from jaxcrumple.scenes.functions import is_function
 
 # Time in s of a step with inertia at n = 1000, and its power law in n ("Steps": 9 to 14 ms; more with
 # contact). All costs below are in units of this time.
@@ -44,7 +45,8 @@ class Estimate(NamedTuple):
 
 def estimate(config: RunConfig, nodes: int) -> Estimate:
     """Estimate roughly the cost of a run with this number of nodes."""
-    touching = config.options.get("contact") is not None
+    # A function of the user may build contact without an option that says so.
+    touching = config.options.get("contact", is_function(config.scene) or None) is not None
     rate = SCENE_STEPS.get(config.scene, CONTACT if touching else PHANTOM)
     step = STEP * (nodes / SIZE) ** POWER * SCHEMES.get(config.solver.scheme, 1.0)
     step *= (config.solver.rtol / TOLERANCE) ** TOLERANCE_POWER

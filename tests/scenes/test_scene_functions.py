@@ -16,9 +16,10 @@ SOURCE = textwrap.dedent('''
     import numpy as np
 
     import jaxcrumple as jc
+    from jaxcrumple.scenes.quantities import Length
 
 
-    def dropped(nodes, seed, *, material, width: float = 0.02, height: float = 1e-3):
+    def dropped(nodes, seed, *, material, width: float = 0.02, height: Length = 1e-3):
         """Square sheet that falls on a floor."""
         mesh = jc.rectangle(width, width, nodes, seed=seed, sweeps=3)
         x = mesh.vertices + np.array([0.0, 0.0, height])
@@ -55,7 +56,9 @@ def test_a_function_is_a_scene_with_options_and_an_end(module):
     # Numbers may have a unit, as those of the built-in scenes.
     setup = configure(f"{module}:dropped", nodes=40, settings=["width=3 cm"]).build()
     assert setup.mesh.n_nodes == 40 and np.ptp(setup.mesh.vertices[:, 0]) == pytest.approx(0.03)
-    assert "my_scenes:dropped, Square sheet that falls on a floor" in described(config)[0]
+    lines = described(config)
+    assert "my_scenes:dropped, Square sheet that falls on a floor" in lines[0]
+    assert "contact: as the function builds it" in lines
     assert configure(f"{module}:dropped", nodes=40, t_end=0.01).t_end == 0.01
 
 
@@ -82,6 +85,8 @@ def test_options_of_a_function_are_checked(module):
     for settings, message in (
         ({"widht": 0.1}, "'widht' is unknown; did you mean 'width'"),
         ({"width": "broad"}, r"options\.width = 'broad'"),
+        ({"height": "3 s"}, r"options\.height = '3 s' is a time; give a length"),
+        ({"height": "-1 mm"}, r"options\.height = '-1 mm': Input should be greater than 0"),
     ):
         with pytest.raises(jc.ConfigError, match=message):
             configure(f"{module}:dropped", nodes=40, settings=settings)
