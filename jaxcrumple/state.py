@@ -1,6 +1,6 @@
 """The state of a run: all variables that evolve, and the step history of the implicit stages."""
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,19 +13,16 @@ from jaxcrumple._jax.memory import require
 from jaxcrumple._jax.tree import as_float, is_known, require_finite
 from jaxcrumple.contact.lists import Reference, nowhere
 from jaxcrumple.contact.parameters import Contact
+from jaxcrumple.history import History, Linearization, no_linearization, restart_history
 from jaxcrumple.model.loads import check_supported
 from jaxcrumple.scene import Scene, check_scene
 
 # In contact ranges: largest skin of the first list of site pairs, and smallest skin of the first list of
 # pairs that have entries in the matrix of a direct solver.
 FIRST, FIRST_PLACED = 0.25, 0.75
-# Points in the multistep history: BDF5 and the predictor of its error estimate need 6.
-HISTORY = 6
 QUASISTATIC, IMPLICIT, EXPLICIT = 0, 1, 2
 STAGES = ("quasistatic", "implicit", "explicit")
 CAUSES = ("error", "newton", "unstable", "fold", "nonfinite", "contact")
-# Age that marks a tangent as unusable.
-NEVER = 1_000_000
 
 
 class RESULTS(eqx.Enumeration):
@@ -51,96 +48,6 @@ class RESULTS(eqx.Enumeration):
         "forces are not finite in the current state; the run keeps that state. Look for zero-length "
         "edges, layers within the core of a barrier, or a parameter that is NaN"
     )
-
-
-class History(eqx.Module):
-    """Hold the accepted points of the implicit stages, newest first.
-
-    `x` and `v` (6, n, 3); `p` (6, h) or None; `steps` (6,) in s: `steps[j]` is the time between
-    points j and j+1; `count`: number of valid points. 0 means one point whose velocity need not balance
-    the forces (a start, or the end of an explicit stage); the next quasistatic step then aligns it.
-    `order`: order of the next step, if its stage allows that order.
-    """
-
-    x: Float[Array, "points nodes 3"]
-    v: Float[Array, "points nodes 3"]
-    p: Float[Array, "points hinges"] | None
-    steps: Float[Array, " points"]
-    count: Count
-    order: Count
-
-
-class ImplicitStep(eqx.Module):
-    """Hold the history sums of an implicit step: $\\dot y = (y + \\sum_j \\alpha_j y_j)/(\\beta h)$ (eq. 39).
-
-    `t`: time of the equations in s; `beta_h` in s; `x_memory` (n, 3), `p_memory` (h,), `damping_memory` and
-    `v_memory` (n, 3): $\\sum_j \\alpha_j y_j$; `v_memory` is None if no stage has inertia.
-    `inertia` is 1 with the inertial force and 0 without.
-    """
-
-    t: Scalar
-    beta_h: Scalar
-    x_memory: NodeVectors
-    v_memory: NodeVectors | None
-    p_memory: HingeValues | None
-    damping_memory: Any
-    inertia: Scalar
-
-    def velocity(self, x: NodeVectors) -> NodeVectors:
-        """Return the velocity (n, 3) of the formula at new positions `x`."""
-        return (x + self.x_memory) / self.beta_h
-
-    def acceleration(self, v: NodeVectors) -> NodeVectors:
-        """Return the acceleration (n, 3) of the formula at new velocities `v`; 0 without inertia."""
-        if self.v_memory is None:
-            return jnp.zeros_like(v)
-        return self.inertia * (v + self.v_memory) / self.beta_h
-
-
-class Points(Protocol):
-    """Describe past points, newest first: positions and velocities (6, n, 3), p (6, h) or None."""
-
-    @property
-    def x(self) -> Float[Array, "points nodes 3"]:
-        """Positions in m."""
-
-    @property
-    def v(self) -> Float[Array, "points nodes 3"]:
-        """Velocities in m/s."""
-
-    @property
-    def p(self) -> Float[Array, "points hinges"] | None:
-        """Rest curvatures."""
-
-
-def implicit_step(
-    scene: Scene,
-    history: Points,
-    alpha: Float[Array, " points"],
-    beta_h: Scalar,
-    t: Scalar,
-    inertia: Scalar | None = None,
-) -> ImplicitStep:
-    """Build the implicit step with equations at time `t` and coefficients `alpha` (6,) of the history.
-
-    `inertia` is 0 or 1, or None if no stage has inertia."""
-    return ImplicitStep(
-        t=t,
-        beta_h=beta_h,
-        x_memory=jnp.tensordot(alpha, history.x, 1),
-        v_memory=None if inertia is None else jnp.tensordot(alpha, history.v, 1),
-        p_memory=None if history.p is None else alpha @ history.p,
-        damping_memory=None if scene.damping is None else scene.damping.memory(history.x, alpha),
-        inertia=jnp.zeros(()) if inertia is None else inertia,
-    )
-
-
-class Linearization(eqx.Module):
-    """Record where a tangent was computed: in which `step`, at positions `x` (n, 3), `age` steps ago."""
-
-    step: ImplicitStep
-    x: NodeVectors
-    age: Count
 
 
 class Monitor(eqx.Module):
@@ -321,14 +228,7 @@ def _memory(
     slopes = Slopes(jnp.zeros_like(x), None if p is None else jnp.zeros_like(p), jnp.asarray(False))
     history = restart_history(x, v, p)
     listing = None if scene.contact is None else first_listing(scene.contact, x)
-    return slopes, history, _no_linearization(scene, history), listing
-
-
-def _no_linearization(scene: Scene, history: History) -> Linearization:
-    """Return a linearization that no step may use."""
-    nought, one = jnp.zeros(()), jnp.ones(())
-    step = implicit_step(scene, history, jnp.zeros(HISTORY), one, nought, nought)
-    return Linearization(step, history.x[0], jnp.asarray(NEVER, int))
+    return slopes, history, no_linearization(scene, history), listing
 
 
 def first_listing(contact: Contact, x: NodeVectors) -> Listing:
@@ -350,17 +250,6 @@ def restarted(scene: Scene, state: State, x: NodeVectors, v: NodeVectors) -> Sta
         (x, v, *_memory(scene, x, v, state.p), fresh_monitor(state.monitor.ratios.shape[0])),
         is_leaf=lambda leaf: leaf is None,
     )
-
-
-def restart_history(x: NodeVectors, v: NodeVectors, p: HingeValues | None) -> History:
-    """Return a history of the current point alone; its velocity need not balance the forces."""
-
-    def repeat(a: Float[Array, " *axes"], times: int) -> Float[Array, " times *axes"]:
-        return jnp.broadcast_to(a, (times, *a.shape))
-
-    past = None if p is None else repeat(p, HISTORY)
-    one = jnp.asarray(1, int)
-    return History(repeat(x, HISTORY), repeat(v, HISTORY), past, jnp.ones(HISTORY), one - 1, one)
 
 
 def check_state(scene: Scene, state: State) -> None:

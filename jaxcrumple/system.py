@@ -21,9 +21,10 @@ from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float, require_shape
 from jaxcrumple.contact import energy as contact_energy
 from jaxcrumple.geometry.hinge import Hinge, curvature
+from jaxcrumple.history import ImplicitStep
 from jaxcrumple.model.plasticity import implicit_update
 from jaxcrumple.scene import Scene, require_scene
-from jaxcrumple.state import ImplicitStep, State, check_state
+from jaxcrumple.state import State, check_state
 
 
 class Energies(NamedTuple):

@@ -24,8 +24,9 @@ jax.config.update("jax_enable_x64", True)
 
 from jaxcrumple import Integrator, Solution, initial_state, integrator, radial, simulate  # noqa: E402
 from jaxcrumple.geometry.hinge import curvature  # noqa: E402
+from jaxcrumple.history import ImplicitStep  # noqa: E402
 from jaxcrumple.scene import Scene  # noqa: E402
-from jaxcrumple.state import ImplicitStep, State  # noqa: E402
+from jaxcrumple.state import State  # noqa: E402
 from jaxcrumple.system import energies, linearize, residual  # noqa: E402
 
 RESULTS = Path(__file__).parent / "results"

@@ -14,9 +14,9 @@ import jaxcrumple
 PACKAGE = Path(jaxcrumple.__file__).parent
 #: From the top down; the modules `__init__` and `__main__` may import all of them.
 ROOMS = (
-    "_jax", "options", "geometry", "mesh", "material", "model", "contact", "assembly", "scene", "state",
-    "system", "solvers", "replays", "simulation", "measure", "io", "scenes", "calibrate", "run", "sweeps",
-    "plot", "paper", "cli",
+    "_jax", "options", "geometry", "mesh", "material", "model", "contact", "assembly", "scene", "history",
+    "state", "system", "solvers", "replays", "simulation", "measure", "io", "scenes", "calibrate", "run",
+    "sweeps", "plot", "paper", "cli",
 )  # fmt: skip
 
 

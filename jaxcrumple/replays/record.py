@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 from jaxcrumple._jax.arrays import Scalar
 from jaxcrumple._jax.memory import gigabytes, times_that_fit
 from jaxcrumple.contact.lists import doubled
+from jaxcrumple.history import HISTORY
 from jaxcrumple.replays.contacts import StretchLists, make_lists
 from jaxcrumple.replays.snaps import snaps
 from jaxcrumple.scene import Scene, with_lists
@@ -19,7 +20,7 @@ from jaxcrumple.solvers.implicit.variable_order import VariableOrder
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver
 from jaxcrumple.solvers.log import Trail
 from jaxcrumple.solvers.scheme import Integrator
-from jaxcrumple.state import EXPLICIT, HISTORY, State
+from jaxcrumple.state import EXPLICIT, State
 
 # Steps of a stretch, and smallest capacity of a record in stretches.
 STRETCH, FEWEST = 64, 4

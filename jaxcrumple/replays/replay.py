@@ -10,13 +10,14 @@ from jaxtyping import Array, Float
 
 from jaxcrumple._jax.arrays import Count, Flag, NodeVectors, Scalar
 from jaxcrumple._jax.door import door, own_modes
+from jaxcrumple.history import HISTORY
 from jaxcrumple.replays.contacts import StretchLists, in_step, in_stretch
 from jaxcrumple.replays.record import Record, Steps
 from jaxcrumple.replays.step import Point, RecordedStep, changed, newest, solved
 from jaxcrumple.scene import Scene, with_lists
 from jaxcrumple.solvers.implicit.bdf import step_formula
 from jaxcrumple.solvers.linear.base import Factor
-from jaxcrumple.state import EXPLICIT, HISTORY, IMPLICIT, State, check_state
+from jaxcrumple.state import EXPLICIT, IMPLICIT, State, check_state
 
 # Relative difference that rounding causes between two builds of the same scene.
 SAME = 1e-9

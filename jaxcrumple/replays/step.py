@@ -9,12 +9,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxcrumple._jax.arrays import Count, Flag, NodeVectors, Scalar
+from jaxcrumple.history import ImplicitStep as Equations
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.implicit.bdf import Formula
 from jaxcrumple.solvers.implicit.newton import FORCING
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
 from jaxcrumple.solvers.linear.solve import solve_once
-from jaxcrumple.state import ImplicitStep as Equations
 from jaxcrumple.system import linearize, residual, updated_rest_curvature
 
 # Newton's iteration ends with an update below TIGHT of the sheet's size, or below SETTLED if rounding stops

@@ -8,21 +8,12 @@ import jax.numpy as jnp
 
 from jaxcrumple._jax.arrays import Count, Flag, Scalar
 from jaxcrumple._jax.tree import select
+from jaxcrumple.history import NEVER, restart_history
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.log import AFTER, BEFORE, Log, Row, append
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.solvers.switch import has_settled, wants_inertia
-from jaxcrumple.state import (
-    CAUSES,
-    EXPLICIT,
-    IMPLICIT,
-    NEVER,
-    QUASISTATIC,
-    State,
-    fresh_monitor,
-    no_work,
-    restart_history,
-)
+from jaxcrumple.state import CAUSES, EXPLICIT, IMPLICIT, QUASISTATIC, State, fresh_monitor, no_work
 from jaxcrumple.system import energies
 
 # A rejected quasistatic step below this share of the explicit stability limit ends the stage: integrating the

@@ -9,8 +9,8 @@ from folded import folded, strip
 
 import jaxcrumple as jc
 from jaxcrumple.geometry.hinge import curvature
+from jaxcrumple.history import HISTORY, implicit_step
 from jaxcrumple.replays.step import Point
-from jaxcrumple.state import HISTORY, implicit_step
 from jaxcrumple.system import residual, updated_rest_curvature
 
 RANGE, COLUMNS, DRAWS = 0.5e-3, (4, 4), 250

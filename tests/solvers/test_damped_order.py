@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from jaxcrumple import Material, initial_state, radial, simulate
+from jaxcrumple.history import HISTORY
 from jaxcrumple.solvers.implicit.bdf import REACH, coefficients, damped_order
 from jaxcrumple.solvers.scheme import integrator
-from jaxcrumple.state import HISTORY
 
 ORDERS = (3, 4, 5)
 _coefficients = jax.jit(coefficients)

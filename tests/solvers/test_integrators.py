@@ -11,10 +11,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
+from jaxcrumple.history import HISTORY, History
 from jaxcrumple.solvers.explicit.runge_kutta import RK43
 from jaxcrumple.solvers.implicit import bdf
 from jaxcrumple.solvers.implicit.base import GROWTH
-from jaxcrumple.state import HISTORY, History
 
 # --- BDF: coefficients ---------------------------------------------------------------------------
 

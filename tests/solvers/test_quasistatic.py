@@ -11,13 +11,14 @@ from lattice import SPACING, advance, constants, held, lattice, solver, strip_sc
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
+from jaxcrumple.history import HISTORY, History, implicit_step
 from jaxcrumple.material.material import Material
 from jaxcrumple.mesh.generate import rectangle
 from jaxcrumple.model.loads import AbstractMotion, Prescribed
 from jaxcrumple.model.walls import Ramp, Sphere
 from jaxcrumple.scene import sheet
 from jaxcrumple.solvers.implicit.bdf import coefficients
-from jaxcrumple.state import HISTORY, QUASISTATIC, History, implicit_step, initial_state
+from jaxcrumple.state import QUASISTATIC, initial_state
 from jaxcrumple.system import linearize, residual, tangent
 
 C0, GAMMA = 0.3, 1.0

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxcrumple.history import HISTORY
 from jaxcrumple.solvers.implicit import bdf
-from jaxcrumple.state import HISTORY
 
 _two_step = jax.jit(bdf.two_step)
 _coefficients = jax.jit(bdf.coefficients)

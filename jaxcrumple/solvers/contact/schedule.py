@@ -33,9 +33,10 @@ from jaxcrumple.contact.lists import (
 from jaxcrumple.contact.narrow_phase import find_pairs
 from jaxcrumple.contact.parameters import Contact
 from jaxcrumple.contact.skin import ACTIVE, CANDIDATES, MATRIX, PAIRS
+from jaxcrumple.history import NEVER
 from jaxcrumple.model.walls import Wall
 from jaxcrumple.scene import Scene, with_lists
-from jaxcrumple.state import NEVER, Listing, State
+from jaxcrumple.state import Listing, State
 
 # Largest move of a node in one step in ranges, without the mean motion: STRIDE, or UNKNOWN if there are no
 # earlier steps to predict it from. If no triangles are near, a known move may go as far as `Contact.calm`.

@@ -7,11 +7,12 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeVectors, Scalar
+from jaxcrumple.history import Linearization
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.contact.schedule import passes, unlisted_turn
 from jaxcrumple.solvers.implicit.newton import NewtonSolution
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
-from jaxcrumple.state import CAUSES, IMPLICIT, Linearization, State
+from jaxcrumple.state import CAUSES, IMPLICIT, State
 
 # Largest growth of the step after a step of order 1 ... 5, below the zero-stability limits of variable-step
 # BDF (1.62 and 1.28 at orders 3 and 4).

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeVectors, Scalar
+from jaxcrumple.history import HISTORY, History, ImplicitStep, Points, implicit_step
 from jaxcrumple.scene import Scene
-from jaxcrumple.state import HISTORY, History, ImplicitStep, Points, implicit_step
 
 
 def _lags(h: Scalar, steps: Float[Array, " points"]) -> Float[Array, " points"]:

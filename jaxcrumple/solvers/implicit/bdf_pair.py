@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeVectors, Scalar
 from jaxcrumple._jax.tree import as_float
 from jaxcrumple.geometry.hinge import curvature
+from jaxcrumple.history import ImplicitStep, implicit_step
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.implicit.base import (
     LOCAL_SHARE,
@@ -18,7 +19,7 @@ from jaxcrumple.solvers.implicit.base import (
 from jaxcrumple.solvers.implicit.bdf import coefficients, extrapolation
 from jaxcrumple.solvers.implicit.newton import FORCING, NewtonSolution, newton
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
-from jaxcrumple.state import ImplicitStep, State, implicit_step
+from jaxcrumple.state import State
 from jaxcrumple.system import residual
 
 # Order of the paper's solution, and number of points of its predictor.

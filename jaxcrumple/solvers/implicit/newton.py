@@ -10,9 +10,9 @@ from jaxtyping import Array, Float
 from jaxcrumple._jax.arrays import Count, Flag, NodeVectors, Scalar
 from jaxcrumple._jax.batched_cond import where_needed
 from jaxcrumple._jax.tree import select
+from jaxcrumple.history import NEVER, ImplicitStep, Linearization
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
-from jaxcrumple.state import NEVER, ImplicitStep, Linearization
 from jaxcrumple.system import linearize, residual
 
 # An iteration diverges if its update grows by more than this factor.

@@ -11,6 +11,7 @@ from jaxcrumple._jax.batched_cond import where_needed
 from jaxcrumple._jax.tree import as_float, select
 from jaxcrumple.assembly.sparsity import Pattern
 from jaxcrumple.geometry.hinge import curvature
+from jaxcrumple.history import ImplicitStep
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.implicit.base import (
     LOCAL_SHARE,
@@ -23,7 +24,7 @@ from jaxcrumple.solvers.implicit.base import (
 from jaxcrumple.solvers.implicit.bdf import damped_order, error_constant, extrapolation, step_formula
 from jaxcrumple.solvers.implicit.newton import FORCING, newton
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
-from jaxcrumple.state import CAUSES, IMPLICIT, ImplicitStep, State
+from jaxcrumple.state import CAUSES, IMPLICIT, State
 from jaxcrumple.system import residual
 
 # The order changes only for a step longer by this factor.
