@@ -5,7 +5,6 @@ import json
 import os
 import re
 import runpy
-import shutil
 import signal
 import subprocess
 import sys
@@ -14,60 +13,14 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
+from command_line import CONFIG, SMALL, contents, current_checkpoint
 from pictures import colors
 
 import jaxcrumple
 from jaxcrumple.cli import cli
 from jaxcrumple.io import RunDirectory, RunDirectoryError
 from jaxcrumple.io.checkpoint import read_metadata
-from jaxcrumple.run.config import configure
 from jaxcrumple.run.run import resume_run, start_run
-
-SETTINGS = ["frames=2", "contact=none", "scheme=alternating", "rtol=1e-4", "sweeps=5", "drag_rate=2300"]
-SMALL = ["--nodes", "60", "--t-end", "0.02", *(word for item in SETTINGS for word in ("--set", item))]
-CONFIG = configure("radial", nodes=60, t_end=0.02, settings=SETTINGS)
-
-
-def command(*arguments):
-    """The program in a process of its own, as a user starts it."""
-    program = [sys.executable, "-c", "from jaxcrumple.cli.cli import main; main()"]
-    return subprocess.run([*program, *map(str, arguments)], capture_output=True, text=True, timeout=1800)
-
-
-@pytest.fixture
-def refused(monkeypatch, capsys):
-    """A call that must end with exit code 2 and one line on stderr, which it returns."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["jaxcrumple", *map(str, arguments)])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as caught:
-            cli.main()
-        streams = capsys.readouterr()
-        assert caught.value.code == 2
-        assert streams.err.startswith("error: ")
-        assert len(streams.err.splitlines()) == 1, streams.err
-        return streams.err
-
-    return call
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    """Folder and output of a run from the command line."""
-    folder = tmp_path_factory.mktemp("cli") / "deep" / "run"
-    return folder, command("run", "radial", *SMALL, "--out", folder)
-
-
-@pytest.fixture
-def copy(finished, tmp_path):
-    """A copy of that run, to be harmed."""
-    return shutil.copytree(finished[0], tmp_path / "copy")
-
-
-def contents(path):
-    return {str(p.relative_to(path)): p.read_bytes() for p in path.rglob("*") if p.is_file()}
-
 
 # --- What a run leaves behind --------------------------------------------------------------------
 
@@ -267,65 +220,6 @@ def test_resuming_with_other_options_is_refused(refused, finished):
     assert "was started with thickness = 0.00025, not 0.0001; resume" in message
     assert "scene = 'radial', not 'square'" in refused("run", "square", "--resume", "--out", folder)
     assert contents(folder) == before
-
-
-def current_checkpoint(folder):
-    return folder / RunDirectory.open(folder).manifest.checkpoint
-
-
-def test_checkpoints_that_are_no_good_are_refused(refused, copy):
-    checkpoint = current_checkpoint(copy)
-    whole = checkpoint.read_bytes()
-    middle = len(whole) // 2
-    flipped = whole[:middle] + bytes([whole[middle] ^ 255]) + whole[middle + 1 :]
-    for data in (whole[:middle], flipped, b"", b"something else", (copy / "mesh.npz").read_bytes()):
-        checkpoint.write_bytes(data)
-        before = contents(copy)
-        text = refused("run", "radial", "--resume", "--out", copy)
-        assert f"{checkpoint.name}' is damaged" in text
-        assert f"return to the last undamaged checkpoint: jaxcrumple repair {copy}" in text
-        assert contents(copy) == before
-
-
-def test_a_damaged_run_is_told_and_repaired(copy, monkeypatch, capsys):
-    """It goes back to its last checkpoint before the damage, and ends as it did before."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["jaxcrumple", *map(str, arguments)])
-        with pytest.raises(SystemExit) as caught:
-            cli.main()
-        return caught.value.code, capsys.readouterr().out
-
-    assert call("verify", copy) == (0, f"{copy}: sound, 3 frames, {count_rows(copy)} rows of history\n")
-    assert call("repair", copy) == (0, f"{copy} is sound; nothing was changed\n")
-    whole, x = contents(copy), jaxcrumple.load(copy).x
-    (copy / "frames" / "00002.npz").write_bytes(b"")
-    code, text = call("verify", copy.parent)
-    assert code == 1 and "00002.npz' is damaged" in text and f"jaxcrumple repair {copy}" in text
-    code, text = call("repair", copy)
-    assert (
-        code == 0
-        and f"is at t = 0.01 s again; go on with: jaxcrumple run radial --resume --out {copy}" in text
-    )
-    assert RunDirectory.open(copy).counts.frames == 2
-    assert resume_run(copy)["result"] == "success"
-    after = contents(copy)
-    for name in whole:
-        if name.startswith(("history", "events", "mesh")):
-            assert after[name] == whole[name], name
-    np.testing.assert_array_equal(jaxcrumple.load(copy).x, x)
-
-
-def count_rows(folder):
-    return (folder / "history.csv").read_bytes().count(b"\n") - 1
-
-
-def test_a_run_of_nothing_sound_is_given_up(refused, copy):
-    for name in ("run.json", "manifest.json"):
-        (copy / name).write_text("{}")
-    for checkpoint in (copy / "checkpoints").iterdir():
-        checkpoint.write_bytes(b"")
-    assert "no part of" in refused("repair", copy)
 
 
 def test_a_scene_that_is_built_otherwise_is_refused(refused, copy, monkeypatch):

@@ -1,7 +1,5 @@
 """The search for candidates inside a compiled program, and batches of self-avoiding sheets."""
 
-import importlib
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,6 +9,7 @@ from folded import folded, strip
 from pressed import moving_layers
 
 import jaxcrumple as jc
+from jaxcrumple import simulation
 from jaxcrumple.contact.adjacency import DUE_TURN, LISTED_TURN
 from jaxcrumple.contact.broad_phase import find_candidates
 from jaxcrumple.contact.coverage import largest_unlisted_turn
@@ -137,7 +136,7 @@ def test_when_lists_are_made_changes_no_bit(monkeypatch):
     for name, policy, steps in (("PAIRS", PAIRS, 1.0), ("CANDIDATES", CANDIDATES, 4.0)):
         monkeypatch.setattr(f"jaxcrumple.solvers.contact.schedule.{name}", policy._replace(steps=steps))
     own = eqx.filter_jit(lambda *arguments: jc.integrate(*arguments))
-    monkeypatch.setattr(importlib.import_module("jaxcrumple.simulate"), "_integrate", own)
+    monkeypatch.setattr(simulation, "_integrate", own)
     often = jc.simulate(scene, state, 1.0, solver=solver, max_attempts=900).state
     assert not np.array_equal(usual.listing.pairs.x, often.listing.pairs.x)
     for name in ("t", "x", "v"):

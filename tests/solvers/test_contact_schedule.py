@@ -1,7 +1,5 @@
 """Keeping the lists of contact while a run goes on: nothing depends on when they were made."""
 
-import importlib
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -12,6 +10,7 @@ from folded import strip
 from pressed import COLUMNS, SIGMA, moving_layers, pressed_layers
 
 import jaxcrumple as jc
+from jaxcrumple import simulation
 from jaxcrumple.contact.adjacency import PLACED_TURN
 from jaxcrumple.contact.host_broad_phase import Search
 from jaxcrumple.contact.lists import Capacity, Reference, pair_key
@@ -28,7 +27,7 @@ from jaxcrumple.state import EXPLICIT, IMPLICIT
 def test_a_run_cut_anywhere_goes_on_to_the_same_bits(monkeypatch, scheme, speed):
     """Also within the life of a factor that serves several steps, and of a list; and compiles nothing new."""
     once = eqx.filter_jit(eqx.debug.assert_max_traces(jc.integrate, max_traces=1))
-    monkeypatch.setattr(importlib.import_module("jaxcrumple.simulate"), "_integrate", once)
+    monkeypatch.setattr(simulation, "_integrate", once)
     (scene, state), solver = moving_layers(speed), jc.integrator(scheme=scheme)
     whole = jc.simulate(scene, state, 1.0, solver=solver, max_attempts=48).state
     steps = whole.counters.steps - state.counters.steps
@@ -85,7 +84,7 @@ def test_lists_with_room_for_one_grow_and_change_no_bit(monkeypatch):
     monkeypatch.setattr("jaxcrumple.solvers.contact.reallocate.first_capacity", lambda n: Capacity(1, 1, 1))
     # They are filled before the run compiles, with room to spare.
     once = eqx.filter_jit(eqx.debug.assert_max_traces(jc.integrate, max_traces=1))
-    monkeypatch.setattr(importlib.import_module("jaxcrumple.simulate"), "_integrate", once)
+    monkeypatch.setattr(simulation, "_integrate", once)
     narrow = jc.simulate(scene, state, 1.0, max_attempts=48).state
     np.testing.assert_array_equal(narrow.x, roomy.x)
     np.testing.assert_array_equal(narrow.v, roomy.v)
@@ -93,7 +92,7 @@ def test_lists_with_room_for_one_grow_and_change_no_bit(monkeypatch):
 
 def test_lists_that_never_fit_end_in_a_named_result(monkeypatch):
     scene, state = pressed_layers()
-    module = importlib.import_module("jaxcrumple.simulate")
+    module = simulation
 
     def waiting(scene, state, *_):
         """A call that wants longer lists, whatever it gets."""

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.sparse as sparse
-from lattice import elastic, held, lattice
+from lattice import elastic
+from linear_solvers import ITERATIVE, SOLVERS, needs_direct
 from scipy.sparse.linalg import spsolve
 
 from jaxcrumple.assembly.sparsity import build_pattern
@@ -20,16 +21,10 @@ from jaxcrumple.scene import sheet
 from jaxcrumple.solvers.linear import registry
 from jaxcrumple.solvers.linear.block_jacobi import BlockCG
 from jaxcrumple.solvers.linear.direct import Direct
-from jaxcrumple.solvers.linear.registry import choose_linear_solver, direct_available
+from jaxcrumple.solvers.linear.registry import choose_linear_solver
 from jaxcrumple.solvers.linear.solve import linear_solve
 from jaxcrumple.solvers.linear.two_level import TwoLevel
-from jaxcrumple.solvers.relax import relax
-from jaxcrumple.state import initial_state
-from jaxcrumple.system import elastic_tangent, tangent
-
-needs_direct = pytest.mark.skipif(not direct_available(), reason="needs the extra `direct`")
-ITERATIVE = [pytest.param(BlockCG(), id="block-cg"), pytest.param(TwoLevel(), id="two-level")]
-SOLVERS = [pytest.param(Direct(), marks=needs_direct, id="direct"), *ITERATIVE]
+from jaxcrumple.system import elastic_tangent
 
 
 @eqx.filter_jit
@@ -361,49 +356,3 @@ def test_choice_of_solver(monkeypatch):
     assert isinstance(choose_linear_solver("two-level"), TwoLevel)
     with pytest.raises(ValueError, match=r"needs the extra, pip install 'jaxcrumple\[direct\]'"):
         choose_linear_solver("direct")
-
-
-# --- Equilibria ----------------------------------------------------------------------------------
-
-
-def clamped(squeeze):
-    """A strip with both ends clamped, its length multiplied by `squeeze`; scene and positions."""
-    mesh = lattice(9, 4)
-    x = mesh.vertices * [squeeze, 1.0, 1.0]
-    along = mesh.vertices[:, 0]
-    ends = (along < along.min() + 1.1e-3) | (along > along.max() - 1.1e-3)
-    mask = np.broadcast_to(ends[:, None], x.shape)
-    return sheet(mesh, elastic(), prescribed=held(mask, x)), x
-
-
-def relaxed(squeeze, solver):
-    """Outcome of `relax` and the eigenvalues of the stiffness there."""
-    scene, x = clamped(squeeze)
-    outcome = relax(scene, initial_state(scene, x), force_tolerance=1e-9, linear=solver)
-    assert bool(outcome.converged)
-    assert float(outcome.max_force) <= 1e-9
-    return outcome, np.linalg.eigvalsh(tangent(scene, outcome.state).toarray())
-
-
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_a_stretched_strip_is_stable(solver):
-    outcome, eigenvalues = relaxed(1.02, solver)
-    assert eigenvalues[0] > 0
-    assert int(outcome.negative) <= 0
-
-
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_a_flat_compressed_strip_is_reported_unstable(solver):
-    outcome, eigenvalues = relaxed(0.97, solver)
-    # By symmetry the strip stays flat, though any nudge would buckle it.
-    assert np.all(np.asarray(outcome.state.x)[:, 2] == 0)
-    assert np.sum(eigenvalues < 0) > 5
-    known = np.sum(eigenvalues < 0) if isinstance(solver, Direct) else 1
-    assert int(outcome.negative) == known
-
-
-def test_relax_refuses_a_tolerance_it_cannot_meet():
-    scene, x = clamped(1.0)
-    for tolerance in (0.0, -1.0, np.nan):
-        with pytest.raises(ValueError, match="must be positive"):
-            relax(scene, initial_state(scene, x), force_tolerance=tolerance)

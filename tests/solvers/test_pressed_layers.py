@@ -1,8 +1,6 @@
 """Layers that are pressed, crushed and thrown upon one another: scenes in which penalty contact usually
 fails."""
 
-import importlib
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +11,7 @@ from lattice import held
 from scipy.optimize import brentq
 
 import jaxcrumple as jc
+from jaxcrumple import simulation
 from jaxcrumple.geometry.hinge import curvature
 from jaxcrumple.measure import count_intersections, edge_strain
 from jaxcrumple.solvers.linear.registry import direct_available
@@ -189,7 +188,7 @@ def test_a_frame_that_intersects_is_no_success(monkeypatch):
     """Where nothing stops the sheet, the audit tells."""
     for stage in ("implicit", "explicit"):
         monkeypatch.setattr(f"jaxcrumple.solvers.{stage}.base.passes", lambda *_: jnp.asarray(False))
-    module = importlib.import_module("jaxcrumple.simulate")
+    module = simulation
     monkeypatch.setattr(module, "_integrate", eqx.filter_jit(jc.integrate))
     mesh = strip(2.0 * SIGMA)
     x, upper = folded(mesh, 2.0 * SIGMA), layer_of(mesh) == 1

@@ -6,12 +6,18 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from lattice import elastic, held, lattice
+from linear_solvers import SOLVERS
 from scipy.integrate import solve_bvp
 
 import jaxcrumple as jc
+from jaxcrumple.scene import sheet
 from jaxcrumple.scenes.snap import fixed
 from jaxcrumple.solvers import relax as solver
+from jaxcrumple.solvers.linear.direct import Direct
 from jaxcrumple.solvers.relax import RELAXED, relax
+from jaxcrumple.state import initial_state
+from jaxcrumple.system import tangent
 
 LENGTH, WIDTH, CLAMP, G = 0.1, 0.02, 0.006, 9.81
 
@@ -142,3 +148,49 @@ def test_inside_a_traced_function():
     inside = eqx.filter_jit(lambda scene, state: relax(scene, state))(scene, state)
     assert inside.converged and bool(inside.result == RELAXED.converged)
     np.testing.assert_allclose(inside.state.x, rested(scene).state.x, atol=1e-12)
+
+
+# --- Stability of equilibria ---------------------------------------------------------------------
+
+
+def clamped(squeeze):
+    """A strip with both ends clamped, its length multiplied by `squeeze`; scene and positions."""
+    mesh = lattice(9, 4)
+    x = mesh.vertices * [squeeze, 1.0, 1.0]
+    along = mesh.vertices[:, 0]
+    ends = (along < along.min() + 1.1e-3) | (along > along.max() - 1.1e-3)
+    mask = np.broadcast_to(ends[:, None], x.shape)
+    return sheet(mesh, elastic(), prescribed=held(mask, x)), x
+
+
+def relaxed(squeeze, solver):
+    """Outcome of `relax` and the eigenvalues of the stiffness there."""
+    scene, x = clamped(squeeze)
+    outcome = relax(scene, initial_state(scene, x), force_tolerance=1e-9, linear=solver)
+    assert bool(outcome.converged)
+    assert float(outcome.max_force) <= 1e-9
+    return outcome, np.linalg.eigvalsh(tangent(scene, outcome.state).toarray())
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_stretched_strip_is_stable(solver):
+    outcome, eigenvalues = relaxed(1.02, solver)
+    assert eigenvalues[0] > 0
+    assert int(outcome.negative) <= 0
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_flat_compressed_strip_is_reported_unstable(solver):
+    outcome, eigenvalues = relaxed(0.97, solver)
+    # By symmetry the strip stays flat, though any nudge would buckle it.
+    assert np.all(np.asarray(outcome.state.x)[:, 2] == 0)
+    assert np.sum(eigenvalues < 0) > 5
+    known = np.sum(eigenvalues < 0) if isinstance(solver, Direct) else 1
+    assert int(outcome.negative) == known
+
+
+def test_relax_refuses_a_tolerance_it_cannot_meet():
+    scene, x = clamped(1.0)
+    for tolerance in (0.0, -1.0, np.nan):
+        with pytest.raises(ValueError, match="must be positive"):
+            relax(scene, initial_state(scene, x), force_tolerance=tolerance)
