@@ -24,8 +24,8 @@ class History(eqx.Module):
     `order`: order of the next step, if its stage allows that order.
     """
 
-    x: Float[Array, "points nodes 3"]
-    v: Float[Array, "points nodes 3"]
+    x: Float[Array, " points *axes"]
+    v: Float[Array, " points *axes"]
     p: Float[Array, "points hinges"] | None
     steps: Float[Array, " points"]
     count: Count

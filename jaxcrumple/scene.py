@@ -1,6 +1,5 @@
 """Scene: the parameters of the equations of motion, and the input of derivatives."""
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -139,7 +138,7 @@ def check_scene(scene: Any) -> None:
 
 def with_lists(scene: Scene, lists: ContactLists | None) -> Scene:
     """Replace the neighbour lists."""
-    return dataclasses.replace(scene, lists=lists)
+    return eqx.tree_at(lambda s: s.lists, scene, lists, is_leaf=lambda leaf: leaf is None)
 
 
 @door

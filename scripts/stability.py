@@ -24,6 +24,7 @@ import time
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from benchlib import RESULTS, markdown, save
@@ -154,14 +155,14 @@ def _solver(config: RunConfig, rtol: float) -> Integrator:
 def _radius(setup: Setup, solution: Solution) -> np.ndarray:
     """Radius in m of the sphere at each frame and at the end."""
     times = np.append(solution.t, solution.state.t)
-    return np.asarray(setup.scene.walls[0].shape.radius(times))
+    return np.asarray(jax.vmap(setup.scene.walls[0].shape.radius)(times))
 
 
 def _behind(setup: Setup, solution: Solution) -> np.ndarray:
     """Distance in m of the outermost node behind the wall, at each frame and at the end."""
     wall = setup.scene.walls[0]
     positions, times = [*solution.x, solution.state.x], [*solution.t, solution.state.t]
-    return np.array([-np.min(wall.gap(x, t)) for x, t in zip(positions, times, strict=True)])
+    return np.array([-np.min(wall.gap(jnp.asarray(x), t)) for x, t in zip(positions, times, strict=True)])
 
 
 def _intersections(setup: Setup, solution: Solution) -> int:

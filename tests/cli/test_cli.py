@@ -21,6 +21,7 @@ from jaxcrumple.cli import cli
 from jaxcrumple.io import RunDirectory, RunDirectoryError
 from jaxcrumple.io.checkpoint import read_metadata
 from jaxcrumple.run.run import resume_run, start_run
+from jaxcrumple.scenes.catalogue import SCENES
 
 # --- What a run leaves behind --------------------------------------------------------------------
 
@@ -224,12 +225,12 @@ def test_resuming_with_other_options_is_refused(refused, finished):
 
 def test_a_scene_that_is_built_otherwise_is_refused(refused, copy, monkeypatch):
     """Such as one whose mesh file was edited: the same options, another sheet."""
-    entry = jaxcrumple.scenes.SCENES["radial"]
+    entry = SCENES["radial"]
 
     def thicker(nodes, seed, *, material, **options):
         return entry.build(nodes, seed, material=replace(material, thickness=2e-4), **options)
 
-    monkeypatch.setitem(jaxcrumple.scenes.SCENES, "radial", entry._replace(build=thicker))
+    monkeypatch.setitem(SCENES, "radial", entry._replace(build=thicker))
     folder = RunDirectory.open(copy)
     folder.cut()
     before = contents(copy)

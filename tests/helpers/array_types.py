@@ -1,7 +1,7 @@
 """Check in tests, at each call, what annotations say about the shapes and kinds of arrays.
 
-Checked are annotations such as `Float[Array, "nodes 3"]`. Those of what users pass, with `ArrayLike` or a
-NumPy array among several types, are not: a function checks such arguments itself, and its error says more.
+Checked are annotations such as `Float[Array, "nodes 3"]`. Those of several types, such as `Scalar | float` or
+with `ArrayLike`, are not: users pass them, and the function checks them itself, and its error says more.
 Names of axes hold within one call, or one object.
 """
 
@@ -9,12 +9,8 @@ from collections.abc import Callable
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin
 
-import numpy as np
-from beartype import BeartypeConf, beartype
+from beartype import beartype
 from jaxtyping import AbstractArray, install_import_hook
-
-# A whole number is a float, too.
-WHOLE_NUMBERS = BeartypeConf(is_pep484_tower=True)
 
 
 def install() -> None:
@@ -28,7 +24,7 @@ def checked(function):
     if all(hint is Any for hint in hints.values()):
         return function
     function.__annotations__ = hints
-    return beartype(function, conf=WHOLE_NUMBERS)
+    return beartype(function)
 
 
 def _tells(hint) -> bool:
@@ -38,6 +34,6 @@ def _tells(hint) -> bool:
         return False
     parts = get_args(hint)
     if get_origin(hint) in (Union, UnionType):
-        arrays = {getattr(part, "array_type", part) for part in parts} - {NoneType}
-        return any(map(_tells, parts)) and (np.ndarray not in arrays or len(arrays) == 1)
+        arrays = {getattr(part, "array_type", None) for part in parts if part is not NoneType}
+        return len(arrays) == 1 and any(map(_tells, parts))
     return any(map(_tells, parts))

@@ -17,7 +17,7 @@ def pressed_layers():
     x = folded(mesh, 0.95 * SIGMA, COLUMNS)
     material = jc.Material(thickness=0.3e-3, yield_curvature=None)
     scene = jc.sheet(mesh, material, contact=jc.SelfContact(range=SIGMA, level=3))
-    creased = curvature(scene.bending.hinges(x).theta)
+    creased = curvature(scene.bending.hinges(jnp.asarray(x)).theta)
     return eqx.tree_at(lambda s: s.bending.rest_curvature, scene, creased), jc.initial_state(scene, x)
 
 

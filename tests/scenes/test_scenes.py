@@ -98,7 +98,8 @@ def test_axial_walls_roll_compress_open_and_flatten_again_and_again():
         for t in (open_, rest):
             assert min(float(wall.gap(middle, t)) for wall in (cylinder, low, front)) > 0.5 * size
         # The edge is pulled home while the sheet is unfolded and flattened, more and more, and then let go.
-        pull = [setup.scene.extra[0].energy(setup.x + 1e-3, t) for t in (open_, flatten - 0.01, rest)]
+        ends = jnp.array([open_, flatten - 0.01, rest])
+        pull = [setup.scene.extra[0].energy(setup.x + 1e-3, t) for t in ends]
         assert pull[0] < 1e-4 * pull[1] and pull[2] == 0.0
     assert SCENES["axial"].ends({**times._asdict(), "cycles": 2}) == pytest.approx(2 * times.cycle)
 

@@ -157,7 +157,7 @@ def solve_bdf(problem, order, steps):
     residual, jacobian, solution, t0, _ = problem
     times = t0 + np.concatenate([[0.0], np.cumsum(steps)])
     y0, one = jnp.asarray(solution(t0)), jnp.asarray(1)
-    velocities = jnp.zeros((2, len(y0)))
+    velocities = jnp.zeros((HISTORY, len(y0)))
     history = History(jnp.tile(y0, (HISTORY, 1)), velocities, None, jnp.ones(HISTORY), one, one)
     for k in range(1, order):
         history = _push(history, steps[k - 1], jnp.asarray(solution(times[k])), velocities[0], None, one)

@@ -41,7 +41,7 @@ def uncompiled(monkeypatch):
     def compiled(*arguments):
         raise AssertionError("a run was compiled")
 
-    for module, program in (("simulate", "_integrate"), ("solvers.relax", "_relax")):
+    for module, program in (("simulation", "_integrate"), ("solvers.relax", "_relax")):
         monkeypatch.setattr(sys.modules[f"jaxcrumple.{module}"], program, compiled)
 
 

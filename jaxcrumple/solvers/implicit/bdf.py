@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeVectors, Scalar
+from jaxcrumple._jax.arrays import Count, Flag, HingeValues, Scalar
 from jaxcrumple.history import HISTORY, History, ImplicitStep, Points, implicit_step
 from jaxcrumple.scene import Scene
 
@@ -142,7 +142,12 @@ def step_formula(
 
 
 def push(
-    history: History, h: Scalar, x: NodeVectors, v: NodeVectors, p: HingeValues | None, order: Count
+    history: History,
+    h: Scalar,
+    x: Float[Array, " *axes"],
+    v: Float[Array, " *axes"],
+    p: HingeValues | None,
+    order: Count,
 ) -> History:
     """Insert a new accepted point at the front of the history."""
 
