@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxcrumple._jax.arrays import HingeValues, NodeValues, Scalar
-from jaxcrumple._jax.door import door
+from jaxcrumple._jax.door import door, own_modes
 from jaxcrumple._jax.tree import is_known, require_finite, require_numbers, shown
 from jaxcrumple.assembly.contact_blocks import ContactBlocks
 from jaxcrumple.assembly.sparsity import Pattern, build_pattern
@@ -92,7 +92,8 @@ class Scene(eqx.Module):
         """Return the pattern of the tangent, with the blocks of the pairs in `lists`."""
         if self.contact is None or self.lists is None:
             return self.pattern
-        blocks = ContactBlocks.of(self.lists.pairs, self.contact.faces, self.lists.matrix)
+        with own_modes():
+            blocks = ContactBlocks.of(self.lists.pairs, self.contact.faces, self.lists.matrix)
         return eqx.tree_at(lambda p: p.contact, self.pattern, blocks, is_leaf=lambda leaf: leaf is None)
 
     def rest_curvature_of(self, p: HingeValues | None) -> HingeValues:

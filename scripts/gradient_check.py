@@ -1,7 +1,7 @@
 """Derivatives of a run of `radial` by every kind of number, against differences of its replay.
 
-Sheet of 300 nodes, self-avoiding, elastoplastic, scheme `alternating`: from 2.28 s, in a snap, to 2.29 s, with
-all three stages, plastic flow and the first contacts. The measure is a sum of all frames with random weights.
+Sheet of 300 nodes, self-avoiding, elastoplastic, scheme `alternating`: from 2.28 s, in a snap, to 2.29 s,
+with all three stages, plastic flow and contact. The measure is a sum of all frames with random weights.
 Every number is changed by a common factor (of the start: by a random field). The table shows the derivative
 in reverse mode, how far forward mode and the best of central differences of the replay are from it, and what
 differences of runs that choose their own steps give, for two sizes of the change.

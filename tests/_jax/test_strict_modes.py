@@ -81,6 +81,7 @@ def test_scenes_energies_and_forces_are_the_same_in_strict_modes(contact):
                     jc.energies(scene, X, V, None, 0.0),
                     jc.force(scene, X, V, None, 0.0),
                     jc.mass_matrix(scene).data,
+                    (scene.sparsity, scene.length_scale, scene.inertial_time),
                 )
             )
     assert_same(*results)
