@@ -320,10 +320,8 @@ def _print_options(model: "type[BaseModel]") -> None:
     from jaxcrumple.options.units import unit_of
 
     def shown(field: Any) -> str:
-        unit = unit_of(field)
-        return (
-            f"{field.default}" if unit is None or field.default is None else f"{field.default} {unit.symbol}"
-        )
+        unit, text = unit_of(field), str(field.default)
+        return text if unit is None or field.default is None else f"{text} {unit.symbol}"
 
     options = ", ".join(f"{name}={shown(field)}" for name, field in model.model_fields.items())
     console.print(f"  {model.__doc__}\n    {options}", markup=False)

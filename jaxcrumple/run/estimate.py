@@ -46,7 +46,8 @@ class Estimate(NamedTuple):
 def estimate(config: RunConfig, nodes: int) -> Estimate:
     """Estimate roughly the cost of a run with this number of nodes."""
     # A function of the user may build contact without an option that says so.
-    touching = config.options.get("contact", is_function(config.scene) or None) is not None
+    unknown = is_function(config.scene) and "contact" not in config.options
+    touching = unknown or config.options.get("contact") is not None
     rate = SCENE_STEPS.get(config.scene, CONTACT if touching else PHANTOM)
     step = STEP * (nodes / SIZE) ** POWER * SCHEMES.get(config.solver.scheme, 1.0)
     step *= (config.solver.rtol / TOLERANCE) ** TOLERANCE_POWER

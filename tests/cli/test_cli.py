@@ -13,8 +13,9 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
-from command_line import CONFIG, SMALL, contents, current_checkpoint
+from command_line import CONFIG, SMALL, current_checkpoint
 from pictures import colors
+from run_folders import contents
 
 import jaxcrumple
 from jaxcrumple.cli import cli

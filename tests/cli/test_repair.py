@@ -4,7 +4,8 @@ import sys
 
 import numpy as np
 import pytest
-from command_line import contents, current_checkpoint
+from command_line import current_checkpoint
+from run_folders import contents
 
 import jaxcrumple
 from jaxcrumple.cli import cli

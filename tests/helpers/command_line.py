@@ -17,9 +17,5 @@ def command(*arguments):
     return subprocess.run([*program, *map(str, arguments)], capture_output=True, text=True, timeout=1800)
 
 
-def contents(path):
-    return {str(p.relative_to(path)): p.read_bytes() for p in path.rglob("*") if p.is_file()}
-
-
 def current_checkpoint(folder):
     return folder / RunDirectory.open(folder).manifest.checkpoint

@@ -40,6 +40,3 @@ def fill(folder, mesh, frames=3):
 
 def contents(path):
     return {str(p.relative_to(path)): p.read_bytes() for p in path.rglob("*") if p.is_file()}
-
-
-# Making and opening

@@ -211,6 +211,3 @@ def test_only_the_last_checkpoint_and_those_to_be_kept_stay(folder, mesh):
     names = {path.name for path in (folder.path / "checkpoints").iterdir()}
     assert names == {"frame-00001.npz", "latest-0.npz"}
     assert {f"checkpoints/{name}" for name in names} < set(folder.manifest.files)
-
-
-# Damage
