@@ -105,7 +105,10 @@ def cycled(mesh):
     return dataclasses.replace(run, t=np.arange(13) * times.cycle / 4.0)
 
 
-@pytest.mark.parametrize("name", ["5", "6", "7", "8a", "8b", "8c", "8d", "9"])
+@pytest.mark.parametrize(
+    "name",
+    ["5", "6", "7", "8a", "8c", "9", *(pytest.param(name, marks=pytest.mark.slow) for name in ("8b", "8d"))],
+)
 def test_figures_are_drawn_with_the_data_behind_them(rolled, tmp_path, name):
     run = cycled(rolled.mesh) if name == "9" else rolled
     paths = FIGURES[name].draw({"radial": run}, tmp_path)

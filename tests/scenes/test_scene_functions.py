@@ -1,6 +1,5 @@
 """Scenes of one's own: functions that the command line runs by name, and setups that Python built."""
 
-import subprocess
 import sys
 import textwrap
 
@@ -8,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxcrumple as jc
+from jaxcrumple.cli import cli
 from jaxcrumple.io import RunDirectoryError
 from jaxcrumple.run.check import described
 from jaxcrumple.run.config import configure
@@ -92,24 +92,13 @@ def test_options_of_a_function_are_checked(module):
             configure(f"{module}:dropped", nodes=40, settings=settings)
 
 
-def test_the_command_runs_a_function_that_goes_on_from_anywhere(module, tmp_path, monkeypatch):
-    command = [
-        "-m",
-        "jaxcrumple",
-        "run",
-        "my_scenes.py:dropped",
-        "--nodes",
-        "40",
-        "--out",
-        "out",
-        "--max-seconds",
-        "0",
-    ]
-    first = subprocess.run([sys.executable, *command], capture_output=True, text=True)
-    assert first.returncode == 1 and "budget" in first.stdout + first.stderr
-    again = ["run", "my_scenes.py:dropped", "--resume", "--out", "out", "--max-seconds", "0"]
-    same = subprocess.run([sys.executable, "-m", "jaxcrumple", *again], capture_output=True, text=True)
-    assert same.returncode == 1 and "budget" in same.stdout + same.stderr
+def test_the_command_runs_a_function_that_goes_on_from_anywhere(module, tmp_path, monkeypatch, capsys):
+    place = ["--out", "out", "--max-seconds", "0"]
+    for arguments in (["my_scenes.py:dropped", "--nodes", "40"], ["my_scenes.py:dropped", "--resume"]):
+        monkeypatch.setattr(sys, "argv", ["jaxcrumple", "run", *arguments, *place])
+        with pytest.raises(SystemExit) as caught:
+            cli.main()
+        assert caught.value.code == 1 and "budget" in "".join(capsys.readouterr())
     monkeypatch.chdir("/")
     resumed = jc.resume_run(tmp_path / "out")
     assert resumed["result"] == "success" and resumed["t_reached"] == 2e-3

@@ -60,6 +60,7 @@ def test_what_the_switch_leaves_out_vanishes_with_the_tolerance():
     assert errors[2] < errors[1] / 2
 
 
+@pytest.mark.slow
 def test_the_default_keeps_its_tolerance_across_explicit_spells():
     """Held against explicit steps alone, whose step the stability limit sets far below the tolerance."""
     times = frame_times(0.012, 6)[1:]

@@ -104,6 +104,7 @@ def test_few_iterations_on_every_mesh(kind):
     assert int(two.iterations) < 120
 
 
+@pytest.mark.slow
 def test_iterations_hardly_grow_with_the_mesh_and_are_far_fewer():
     counts = []
     for n in (500, 2000):
