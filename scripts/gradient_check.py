@@ -4,7 +4,8 @@ Sheet of 300 nodes, self-avoiding, elastoplastic, scheme `alternating`: from 2.2
 with all three stages, plastic flow and contact. The measure is a sum of all frames with random weights.
 Every number is changed by a common factor (of the start: by a random field). The table shows the derivative
 in reverse mode, how far forward mode and the best of central differences of the replay, extrapolated to no
-change, are from it, and what differences of runs that choose their own steps give, for two sizes of the change.
+change, are from it, and what differences of runs that choose their own steps give, for two sizes of the
+change.
 
     python scripts/gradient_check.py
 """
