@@ -49,7 +49,7 @@ KINDS: dict[str, Callable[[Inputs], Array]] = {
 # Of differences the best is taken, or the first one that is as good as this.
 ENOUGH = 1e-6
 # Relative changes of which differences are taken: of the replay, and of free runs.
-CHANGES, FREE = tuple(10.0 ** -np.arange(0.5, 8.0, 0.5)), (1e-3, 1e-5)
+CHANGES, FREE = tuple(10.0 ** -np.arange(1.5, 8.0, 0.5)), (1e-3, 1e-5)
 
 
 class Window(NamedTuple):
@@ -143,7 +143,7 @@ def closest(found: Callable[[float], float], value: float) -> float:
         ratio = (wider / size) ** 2
         # Of two central differences, this combination has an error of fourth order.
         guesses = (now, (ratio * now - before) / (ratio - 1.0) if np.isfinite(ratio) else np.nan)
-        best = min(best, *(abs(guess / value - 1.0) for guess in guesses if np.isfinite(guess)))
+        best = min([best, *(abs(guess / value - 1.0) for guess in guesses if np.isfinite(guess))])
         if best < ENOUGH:
             break
         before = now
