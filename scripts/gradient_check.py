@@ -49,7 +49,7 @@ KINDS: dict[str, Callable[[Inputs], Array]] = {
 # Of differences the best is taken, or the first one that is as good as this.
 ENOUGH = 1e-6
 # Relative changes of which differences are taken: of the replay, and of free runs.
-CHANGES, FREE = tuple(10.0 ** -np.arange(4.0, 8.0, 0.5)), (1e-3, 1e-5)
+CHANGES, FREE = tuple(10.0 ** -np.arange(1.5, 8.0, 0.5)), (1e-3, 1e-5)
 
 
 class Window(NamedTuple):
