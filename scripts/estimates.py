@@ -18,6 +18,7 @@ from pathlib import Path
 
 from benchlib import Log, markdown, options, save
 
+from jaxcrumple.run.check import rounded
 from jaxcrumple.run.config import RunConfig, configure
 from jaxcrumple.run.estimate import estimate
 from jaxcrumple.run.run import start_run
@@ -108,7 +109,7 @@ def tables(results: list[dict]) -> str:
 
 def between(least: float, most: float, unit: float = 1.0) -> str:
     """A range in words."""
-    return f"{least * unit:.2g} to {most * unit:.2g}"
+    return f"{rounded(least * unit)} to {rounded(most * unit)}"
 
 
 if __name__ == "__main__":

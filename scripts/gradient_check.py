@@ -48,7 +48,8 @@ KINDS: dict[str, Callable[[Inputs], Array]] = {
 }
 # Of differences the best is taken, or the first one that is as good as this.
 ENOUGH = 1e-6
-# Relative changes of which differences are taken: of the replay, and of free runs.
+# Relative changes of which differences are taken: of the replay, each 1/sqrt(10) of the one before, and of
+# free runs.
 CHANGES, FREE = tuple(10.0 ** -np.arange(1.5, 8.0, 0.5)), (1e-3, 1e-5)
 
 
@@ -138,11 +139,10 @@ def checks(window: Window, free: bool) -> list[Line]:
 def closest(found: Callable[[float], float], value: float) -> float:
     """The least relative deviation from `value` of differences, and of their extrapolations to no change."""
     best, before = np.inf, np.nan
-    for size, wider in zip(CHANGES, (np.inf, *CHANGES), strict=False):
+    for size in CHANGES:
         now = found(size)
-        ratio = (wider / size) ** 2
-        # Of two central differences, this combination has an error of fourth order.
-        guesses = (now, (ratio * now - before) / (ratio - 1.0) if np.isfinite(ratio) else np.nan)
+        # The error of a difference falls to a tenth, so that this combination of two is of fourth order.
+        guesses = now, (10.0 * now - before) / 9.0
         best = min([best, *(abs(guess / value - 1.0) for guess in guesses if np.isfinite(guess))])
         if best < ENOUGH:
             break

@@ -77,10 +77,10 @@ def _taken(config: RunConfig, nodes: int) -> str:
 def _duration(seconds: float) -> str:
     for size, name in ((86400.0, "days"), (3600.0, "hours"), (60.0, "minutes")):
         if seconds >= 2 * size:
-            return f"{_rounded(seconds / size)} {name}"
-    return f"{_rounded(seconds)} s"
+            return f"{rounded(seconds / size)} {name}"
+    return f"{rounded(seconds)} s"
 
 
-def _rounded(value: float) -> str:
+def rounded(value: float) -> str:
     """Format with two significant digits, without an exponent."""
     return f"{float(f'{value:.2g}'):.10g}"

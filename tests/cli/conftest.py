@@ -1,25 +1,18 @@
 """A finished run, a copy of it, and calls that are refused."""
 
 import shutil
-import sys
 
 import pytest
 from command_line import SMALL, command
 
-from jaxcrumple.cli import cli
-
 
 @pytest.fixture
-def refused(monkeypatch, capsys):
+def refused(in_process):
     """A call that must end with exit code 2 and one line on stderr, which it returns."""
 
     def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["jaxcrumple", *map(str, arguments)])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as caught:
-            cli.main()
-        streams = capsys.readouterr()
-        assert caught.value.code == 2
+        code, streams = in_process(*arguments)
+        assert code == 2
         assert streams.err.startswith("error: ")
         assert len(streams.err.splitlines()) == 1, streams.err
         return streams.err

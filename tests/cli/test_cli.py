@@ -18,7 +18,6 @@ from pictures import colors
 from run_folders import contents
 
 import jaxcrumple
-from jaxcrumple.cli import cli
 from jaxcrumple.io import RunDirectory, RunDirectoryError
 from jaxcrumple.io.checkpoint import read_metadata
 from jaxcrumple.run.run import resume_run, start_run
@@ -103,12 +102,10 @@ def test_run_is_read_back(finished):
     assert len(run.events) == run.summary["switches"]
 
 
-def test_scenes_lists_options_with_defaults(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["jaxcrumple", "scenes"])
-    with pytest.raises(SystemExit) as caught:
-        cli.main()
-    assert caught.value.code == 0
-    text = " ".join(capsys.readouterr().out.split())
+def test_scenes_lists_options_with_defaults(in_process):
+    code, streams = in_process("scenes")
+    assert code == 0
+    text = " ".join(streams.out.split())
     for item in (
         "radial",
         "ends at t = 2.6 s",
@@ -128,33 +125,29 @@ def test_version_and_module(monkeypatch, capsys):
     assert capsys.readouterr().out.strip() == f"jaxcrumple {importlib.metadata.version('jaxcrumple')}"
 
 
-def test_an_interrupted_run_says_how_to_go_on(tmp_path, monkeypatch, capsys):
+def test_an_interrupted_run_says_how_to_go_on(tmp_path, monkeypatch, in_process):
     def interrupt(config, folder, *_, **__):
         folder.mkdir()
         (folder / "run.json").touch()
         signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr("jaxcrumple.run.run.start_run", interrupt)
-    monkeypatch.setattr(sys, "argv", ["jaxcrumple", "run", "radial", "--out", str(tmp_path / "out")])
-    with pytest.raises(SystemExit) as caught:
-        cli.main()
-    assert caught.value.code == 130
-    assert f"jaxcrumple run radial --resume --out {tmp_path / 'out'}" in capsys.readouterr().err
+    code, streams = in_process("run", "radial", "--out", tmp_path / "out")
+    assert code == 130
+    assert f"jaxcrumple run radial --resume --out {tmp_path / 'out'}" in streams.err
 
 
-def test_plot_draws_again(copy, monkeypatch, capsys):
+def test_plot_draws_again(copy, in_process):
     for made in (*copy.glob("*.png"), copy / "run.vtkhdf"):
         made.unlink()
-    monkeypatch.setattr(sys, "argv", ["jaxcrumple", "plot", str(copy)])
-    with pytest.raises(SystemExit) as caught:
-        cli.main()
-    assert caught.value.code == 0
+    code, streams = in_process("plot", copy)
+    assert code == 0
     drawn = ["creases.png", "energies.png", "sheet.png", "steps.png"]
     assert sorted(path.name for path in copy.glob("*.png")) == drawn
     assert all(colors(copy / name) > 10 for name in drawn)
     with h5py.File(copy / "run.vtkhdf") as film:
         assert film["VTKHDF/Steps/Values"][:] == pytest.approx(jaxcrumple.load(copy).t)
-    assert str(copy / "run.vtkhdf") in capsys.readouterr().out
+    assert str(copy / "run.vtkhdf") in streams.out
 
 
 # --- What is refused -----------------------------------------------------------------------------

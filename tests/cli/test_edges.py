@@ -120,11 +120,9 @@ def test_exit_codes_are_kept(ended):
     assert ended(lambda: None) == (0, "")
 
 
-def test_help_tells_the_exit_codes(capsys, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["jaxcrumple", "--help"])
-    with pytest.raises(SystemExit):
-        cli.main()
-    text = " ".join(capsys.readouterr().out.split())
+def test_help_tells_the_exit_codes(in_process):
+    _, streams = in_process("--help")
+    text = " ".join(streams.out.split())
     for words in ("0 success", "2 refused", "70 a bug", "130 Ctrl-C", "143 SIGTERM"):
         assert words in text
 

@@ -1,14 +1,10 @@
 """Damaged runs: refused with cause and cure, and repaired from what is sound."""
 
-import sys
-
 import numpy as np
-import pytest
 from command_line import current_checkpoint
 from run_folders import contents
 
 import jaxcrumple
-from jaxcrumple.cli import cli
 from jaxcrumple.io import RunDirectory
 from jaxcrumple.run.run import resume_run
 
@@ -27,14 +23,12 @@ def test_checkpoints_that_are_no_good_are_refused(refused, copy):
         assert contents(copy) == before
 
 
-def test_a_damaged_run_is_told_and_repaired(copy, monkeypatch, capsys):
+def test_a_damaged_run_is_told_and_repaired(copy, in_process):
     """It goes back to its last checkpoint before the damage, and ends as it did before."""
 
     def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["jaxcrumple", *map(str, arguments)])
-        with pytest.raises(SystemExit) as caught:
-            cli.main()
-        return caught.value.code, capsys.readouterr().out
+        code, streams = in_process(*arguments)
+        return code, streams.out
 
     assert call("verify", copy) == (0, f"{copy}: sound, 3 frames, {count_rows(copy)} rows of history\n")
     assert call("repair", copy) == (0, f"{copy} is sound; nothing was changed\n")

@@ -1,7 +1,6 @@
 """Scene files: read, written, refused with place and line, and what is said of them before they are run."""
 
 import re
-import sys
 
 import meshio
 import numpy as np
@@ -228,24 +227,17 @@ def test_estimates_of_what_was_measured():
         assert least / 2 < seconds < 2 * most
 
 
-def test_the_commands(file, tmp_path, monkeypatch, capsys):
+def test_the_commands(file, tmp_path, in_process):
     """A run of a file from beginning to end, its resumption, and a template."""
-
-    def command(*arguments):
-        monkeypatch.setattr(sys, "argv", ["jaxcrumple", *map(str, arguments)])
-        with pytest.raises(SystemExit) as caught:
-            cli.main()
-        return caught.value.code, capsys.readouterr()
-
     path, out = file(OWN), tmp_path / "out"
-    assert command("run", path, "--set", "contact=none", "--out", out)[0] == 0
+    assert in_process("run", path, "--set", "contact=none", "--out", out)[0] == 0
     run = jc.load(out)
     assert run.config["options"]["walls"][1] == {"kind": "plane", "normal": [0, 0, 1], "offset": -0.01}
     assert run.summary["result"] == "success"
-    code, streams = command("run", path, "--resume", "--out", out)
+    code, streams = in_process("run", path, "--resume", "--out", out)
     assert code == 2 and "was started with contact = None, not 'penalty'" in streams.err
-    assert command("run", path, "--set", "contact=none", "--resume", "--out", out)[0] == 0
-    code, streams = command("scenes", "--toml", "fold")
+    assert in_process("run", path, "--set", "contact=none", "--resume", "--out", out)[0] == 0
+    code, streams = in_process("scenes", "--toml", "fold")
     assert code == 0 and 'scene = "fold"' in streams.out
 
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import jaxcrumple as jc
-from jaxcrumple.cli import cli
 from jaxcrumple.io import RunDirectoryError
 from jaxcrumple.run.check import described
 from jaxcrumple.run.config import configure
@@ -92,13 +91,14 @@ def test_options_of_a_function_are_checked(module):
             configure(f"{module}:dropped", nodes=40, settings=settings)
 
 
-def test_the_command_runs_a_function_that_goes_on_from_anywhere(module, tmp_path, monkeypatch, capsys):
-    place = ["--out", "out", "--max-seconds", "0"]
-    for arguments in (["my_scenes.py:dropped", "--nodes", "40"], ["my_scenes.py:dropped", "--resume"]):
-        monkeypatch.setattr(sys, "argv", ["jaxcrumple", "run", *arguments, *place])
-        with pytest.raises(SystemExit) as caught:
-            cli.main()
-        assert caught.value.code == 1 and "budget" in "".join(capsys.readouterr())
+def test_the_command_runs_a_function_that_goes_on_from_anywhere(module, tmp_path, monkeypatch, in_process):
+    for first in (["--nodes", "40"], ["--resume"]):
+        code, streams = in_process(
+            "run", "my_scenes.py:dropped", *first, "--out", "out", "--max-seconds", "0"
+        )
+        assert code == 1 and "budget" in streams.out + streams.err
+        # Every call loads the file anew, as a process of its own does.
+        del sys.modules[str(tmp_path.resolve() / "my_scenes.py")]
     monkeypatch.chdir("/")
     resumed = jc.resume_run(tmp_path / "out")
     assert resumed["result"] == "success" and resumed["t_reached"] == 2e-3
