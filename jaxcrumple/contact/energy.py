@@ -39,28 +39,6 @@ CLOSER = 0.98
 _Tangent = tuple[Float[Array, "blocks 9"], Float[Array, "triangles 9 9"], NodeValues]
 
 
-def pair_energy(
-    distance: Float[Array, "..."] | float,
-    stiffness: Scalar | float,
-    sigma: Scalar | float,
-    core: Scalar | float | None = None,
-) -> Float[Array, "..."]:
-    """Return the energy of two sites in J.
-
-    It is $k_s \\sigma^2 \\exp(\\sigma/(r - \\sigma))$ for $r < \\sigma$, else 0. Its negative gradient is
-    the force of eq. (26). The energy is finite at $r = 0$, so that it does not exclude penetration. With a
-    `core` $r_0$ in m, the exponential measures r and $\\sigma$ from $r_0$, and a factor $(\\sigma -
-    r_0)/(r - r_0)$ makes the energy infinite at $r_0$ and inside.
-    """
-    inside = distance < sigma
-    gap = jnp.where(inside, sigma - distance, sigma)
-    if core is None:
-        return jnp.where(inside, stiffness * sigma * sigma * jnp.exp(-sigma / gap), 0.0)
-    width, depth = sigma - core, jnp.where(distance > core, distance - core, 0.0)
-    growth = jnp.where(depth > 0, width / jnp.where(depth > 0, depth, 1.0), jnp.inf)
-    return jnp.where(inside, stiffness * sigma * sigma * jnp.exp(-width / gap) * growth, 0.0)
-
-
 def energy(contact: Contact, lists: ContactLists, x: NodeVectors) -> Scalar:
     """Return the energy in J at positions `x` (n, 3); NaN where the lists are not valid."""
 
@@ -135,7 +113,9 @@ def nearer_product(
         total: NodeVectors, contact: Contact, both: tuple[NodeVectors, NodeVectors], terms: PairTerms
     ) -> NodeVectors:
         (r, distance), (change, _) = separation(terms, both[0]), separation(terms, both[1])
-        matrix, _ = _matrices(contact, terms, r / distance[:, None], _closer(contact, distance))
+        matrix, _ = _matrices(
+            contact, terms, r / distance[:, None], contact.potential.closer(distance, CLOSER)
+        )
         return with_push(total, terms, jnp.sum(matrix * change[:, None], axis=2))
 
     def product(u: NodeVectors) -> NodeVectors:
@@ -161,14 +141,8 @@ def closest_sites(contact: Contact, lists: ContactLists, x: NodeVectors) -> tupl
     return jnp.min(gaps), jnp.sum(pushing), terms.owner[jnp.argmin(gaps)]
 
 
-def _closer(contact: Contact, distance: Float[Array, " pairs"]) -> Float[Array, " pairs"]:
-    """Reduce `distance` (p,) in m by `CLOSER`, but at most halfway to the core of a barrier."""
-    closer = CLOSER * distance
-    return closer if contact.core is None else jnp.maximum(closer, 0.5 * (contact.core + distance))
-
-
 def _potential(contact: Contact, distance: Float[Array, " *axes"]) -> Float[Array, " *axes"]:
-    return pair_energy(distance, contact.stiffness, contact.range, contact.core)
+    return contact.potential.energy(distance, contact.stiffness, contact.range)
 
 
 def _slope(contact: Contact, distance: Float[Array, " pairs"]) -> Float[Array, " pairs"]:

@@ -1,7 +1,7 @@
 """Parameters of self-contact: options of the user, and the refined sites of one sheet."""
 
 import warnings
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,11 +11,11 @@ from jaxtyping import Array, Float, Int
 from jaxcrumple._jax.arrays import NodeVectors, Scalar
 from jaxcrumple._jax.tree import as_float, is_known
 from jaxcrumple.contact.adjacency import Fans, build_fans
+from jaxcrumple.contact.potentials import AbstractPairPotential, Barrier, InversePower, Penalty, Potential
 from jaxcrumple.contact.sites import build_sites, require_candidates, require_sites, site_density
 from jaxcrumple.material.material import ModelConstants
 from jaxcrumple.mesh.mesh import Mesh
 
-Potential = Literal["penalty", "barrier"]
 # Largest site spacing of the penalty in ranges, on average over a triangle and along its sides. With a wider
 # spacing, layers could rest between each other's sites.
 SPACING, LONGEST_SPACING = 1.0, 1.5
@@ -38,7 +38,8 @@ class SelfContact(NamedTuple):
     """Set the options of a sheet's self-contact.
 
     - `potential`: "penalty" is the paper's (26); it is finite at r = 0, and steps that would pass through it
-      are rejected. "barrier" becomes infinite before layers touch; it needs four times as many sites.
+      are rejected. "inverse-power" rises slowly and is infinite at r = 0, so that steps may be longer.
+      "barrier" becomes infinite before layers touch; it needs four times as many sites.
     - `range`: $\\sigma$ in m, by default $h_{eff}$.
     - `level`: number of sites on an edge between its ends; by default the lowest level whose sites are no
       further apart than the range.
@@ -54,7 +55,7 @@ class Contact(eqx.Module):
 
     - `faces` (f, 3); `rest` (n, 3) in m: rest positions; neighbours at rest never interact.
     - `weights` (s, 3), `share` (s,), `place` (s,): as in `Sites`; `density` (f, 7): of `site_density`.
-    - `stiffness` $k_s$ in N/m; `range` $\\sigma$ in m; `core` in m, or None for the penalty.
+    - `stiffness` $k_s$ in N/m; `range` $\\sigma$ in m; `potential`: of two sites.
     - `calm` in m: skin with which the lists of a flat sheet stay empty.
     - `fans`: triangles that share a node, and the hinges between them.
     """
@@ -67,7 +68,7 @@ class Contact(eqx.Module):
     density: Float[Array, "faces 7"]
     stiffness: Scalar = eqx.field(converter=as_float)
     range: Scalar = eqx.field(converter=as_float)
-    core: Scalar | None
+    potential: AbstractPairPotential
     calm: Scalar = eqx.field(converter=as_float)
     fans: Fans
 
@@ -95,7 +96,6 @@ def build_contact(
         raise ValueError(f"contact range = {sigma!r} m must be a positive length; leave it out for h_eff.")
     if not len(mesh.hinges):
         raise ValueError("a sheet of one triangle cannot touch itself; leave contact out.")
-    barrier = options.potential == "barrier"
     if like is None:
         if not known:
             raise ValueError(
@@ -107,10 +107,10 @@ def build_contact(
         require_candidates(mesh, float(sigma))
         sites, fans = build_sites(level), build_fans(mesh)
         weights, share, place = map(jnp.asarray, sites)
-        core = as_float(CORE * _longest(mesh) / (level + 1)) if barrier else None
+        potential = _potential(options.potential, mesh, level)
     else:
         weights, share, place, fans = like.weights, like.share, like.place, like.fans
-        core = like.core
+        potential = like.potential
     least = 0.5 * (CALM * mesh.hinge_height.min() - sigma)
     return Contact(
         faces=jnp.asarray(mesh.faces, jnp.int32),
@@ -121,7 +121,7 @@ def build_contact(
         density=site_density(mesh, sigma),
         stiffness=as_float(constants.ks.mean()),
         range=as_float(sigma),
-        core=core,
+        potential=potential,
         calm=as_float(jnp.maximum(least, LEAST * sigma)),
         fans=fans,
     )
@@ -132,7 +132,7 @@ def check_options_of(options: SelfContact, contact: Contact) -> None:
 
     **Raises:** ValueError that names both.
     """
-    potential = "penalty" if contact.core is None else "barrier"
+    potential = contact.potential.name
     # A lattice with `level` + 1 intervals per side has (level + 2) (level + 3) / 2 sites.
     level = int(np.sqrt(2 * len(contact.share) + 0.25) - 2.5 + 0.5)
     if options.potential != potential or options.level not in (None, level):
@@ -140,6 +140,12 @@ def check_options_of(options: SelfContact, contact: Contact) -> None:
             f"the scene `like` has contact by {potential} of level {level}, not by "
             f"{options.potential} of level {options.level}; leave `like` out."
         )
+
+
+def _potential(name: Potential, mesh: Mesh, level: int) -> AbstractPairPotential:
+    if name == "barrier":
+        return Barrier(CORE * _longest(mesh) / (level + 1))
+    return Penalty() if name == "penalty" else InversePower()
 
 
 def _longest(mesh: Mesh) -> float:

@@ -20,7 +20,7 @@ PARTS = (
 )  # fmt: skip
 # Curvatures and rest curvatures at which flow rules are compared.
 SAMPLES = ((0.0, 0.0), (0.3, 0.1), (-1.1, 0.2), (1.7, -0.4))
-CONTACT_PARTS = ("stiffness", "range", "core", "density")
+CONTACT_PARTS = ("stiffness", "range", "potential", "density")
 
 
 def sketch(tree: Any) -> list[float]:

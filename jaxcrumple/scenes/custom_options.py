@@ -15,7 +15,7 @@ from pydantic import (
     model_validator,
 )
 
-from jaxcrumple.contact.parameters import Potential
+from jaxcrumple.contact.potentials import Potential
 from jaxcrumple.mesh.files import MeshError
 from jaxcrumple.mesh.files.sheet import unit_length
 from jaxcrumple.options.units import (

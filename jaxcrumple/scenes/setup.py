@@ -26,8 +26,7 @@ ROUNDING = 1e-12
 _SHAPE = ("bending.rest_curvature", "membrane.rest_length")
 _MATERIAL = (
     "mass", "area", "reference_acceleration", "velocity_scale", "membrane.stiffness", "bending.stiffness",
-    "drag", "damping", "gravity.mass", "contact.stiffness", "contact.range", "contact.core",
-    "contact.density",
+    "drag", "damping", "gravity.mass", "contact.stiffness", "contact.range", "contact.density",
 )  # fmt: skip
 _YIELD = ("yield_curvature", "yield_c0", "gamma", "plastic_time")
 

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxcrumple._jax.memory import require
-from jaxcrumple.contact.parameters import Potential, SelfContact
+from jaxcrumple.contact.parameters import SelfContact
+from jaxcrumple.contact.potentials import Potential
 from jaxcrumple.material.material import Material
 from jaxcrumple.mesh.generate import disc, rectangle
 from jaxcrumple.mesh.mesh import Mesh
@@ -29,9 +30,9 @@ class SheetOptions:
     """Options that the scenes of crumpled sheets share.
 
     `imperfection`: largest height in m of a smooth, stress-free initial shape; `sweeps`: Lloyd sweeps of
-    the random mesh; `damping`: "central" or "paper"; `contact`: "penalty", "barrier", or None for a phantom
-    sheet, which passes through itself, with `contact_range` and `contact_level` as in `SelfContact`;
-    `material`: default `Material()`.
+    the random mesh; `damping`: "central" or "paper"; `contact`: "penalty", "inverse-power", "barrier", or
+    None for a phantom sheet, which passes through itself, with `contact_range` and `contact_level` as in
+    `SelfContact`; `material`: default `Material()`.
     """
 
     imperfection: Imperfection = 25e-6

@@ -15,8 +15,6 @@ from jaxcrumple.model.bending import FOLD_STOP
 from jaxcrumple.scene import Scene
 from jaxcrumple.state import State
 
-# Layers of a start must be at least this many contact ranges apart (penalty contact).
-CLOSEST = 1e-6
 # Two triangles touch if their distance is below the larger of ROUNDING contact ranges and PLACES units in the
 # last place of the sheet's largest coordinate.
 ROUNDING, PLACES = 1e-12, 16
@@ -136,7 +134,7 @@ def check_gap(scene: Scene, state: State) -> None:
     assert contact is not None
     _check_touching(contact, lists.pairs, np.abs(np.asarray(state.x)).max())
     gap, _, owner = closest_sites(contact, lists, state.x)
-    least = float(CLOSEST * contact.range if contact.core is None else contact.core)
+    least = float(contact.potential.closest(contact.range))
     if float(gap) <= least:
         raise ValueError(
             f"the sheet starts {float(gap):.3g} m from itself, at triangles "

@@ -8,7 +8,9 @@ import pytest
 from elements import assert_close, gradients, hessians, rotations
 from scipy.optimize import brentq
 
-from jaxcrumple.contact import energy as contact
+from jaxcrumple.contact.potentials import InversePower, Penalty
+
+PENALTY, INVERSE = Penalty().energy, InversePower().energy
 
 
 def contact_data(count=200):
@@ -31,7 +33,7 @@ def site_vector(x, w):
 def contact_energy(x, w, ks, sigma):
     """Package's contact energy of six nodes."""
     r = site_vector(x, w)
-    return contact.pair_energy(jnp.sqrt(r @ r), ks, sigma)
+    return PENALTY(jnp.sqrt(r @ r), ks, sigma)
 
 
 def test_contact_force_is_a8_a9():
@@ -62,7 +64,7 @@ PAIR_GAPS = {1e-3: 0.9156, 0.01: 0.8889, 0.05: 0.8538, 0.1: 0.8284, 0.2: 0.7876,
 
 @pytest.mark.parametrize("load", PAIR_GAPS)
 def test_contact_gap_under_load(load):
-    force = jax.jit(lambda r: -jax.grad(contact.pair_energy)(r, 1.0, 1.0))
+    force = jax.jit(lambda r: -jax.grad(PENALTY)(r, 1.0, 1.0))
     gap = brentq(lambda r: float(force(r)) - load, 0.5, 0.99, xtol=1e-12)
     assert abs(gap - PAIR_GAPS[load]) < 5.1e-5
 
@@ -70,19 +72,42 @@ def test_contact_gap_under_load(load):
 def test_contact_is_finite_at_zero_and_softens_inside_half_the_range():
     ks, sigma = 1.7, 0.3
     r = np.linspace(1e-6, 0.999, 1999) * sigma
-    energy, slope = jax.jit(jax.vmap(jax.value_and_grad(lambda r: contact.pair_energy(r, ks, sigma))))(r)
-    assert abs(contact.pair_energy(0.0, ks, sigma) / (ks * sigma**2) - np.exp(-1.0)) < 1e-14
+    energy, slope = jax.jit(jax.vmap(jax.value_and_grad(lambda r: PENALTY(r, ks, sigma))))(r)
+    assert abs(PENALTY(0.0, ks, sigma) / (ks * sigma**2) - np.exp(-1.0)) < 1e-14
     assert np.all(np.diff(energy) < 0)
     force = -np.asarray(slope) / (ks * sigma)
     peak = np.argmax(force)
     assert abs(r[peak] / sigma - 0.5) < 6e-4
-    assert abs(-jax.grad(contact.pair_energy)(0.5, 1.0, 1.0) - 4.0 * np.exp(-2.0)) < 1e-13
+    assert abs(-jax.grad(PENALTY)(0.5, 1.0, 1.0) - 4.0 * np.exp(-2.0)) < 1e-13
     assert abs(force[peak] - 0.5413) < 5e-5
 
 
 def test_contact_ends_smoothly_at_its_range():
     sigma = 0.3
     r = np.array([sigma * (1 - 1e-3), np.nextafter(sigma, 0.0), sigma, 1.5 * sigma])
-    energy = jax.grad(jax.grad(lambda r: contact.pair_energy(r, 1.7, sigma)))
-    derivatives = [jax.vmap(lambda r: contact.pair_energy(r, 1.7, sigma))(r), jax.vmap(energy)(r)]
+    energy = jax.grad(jax.grad(lambda r: PENALTY(r, 1.7, sigma)))
+    derivatives = [jax.vmap(lambda r: PENALTY(r, 1.7, sigma))(r), jax.vmap(energy)(r)]
     assert np.all(np.asarray(derivatives) == 0.0)
+
+
+def test_inverse_power_diverges_and_ends_smoothly_at_its_range():
+    ks, sigma = 1.7, 0.3
+    r = np.array([1e-3, 0.25, 0.5, 1 - 1e-3, 1.0, 1.5]) * sigma
+    value, slope, bend = (jax.vmap(f)(r) for f in derivatives(lambda r: INVERSE(r, ks, sigma)))
+    assert abs(value[1] / (ks * sigma**2) - 0.1 * 0.75**3 / 0.25**4) < 1e-13
+    assert abs(slope[2] / (ks * sigma) + 0.1 * (3 * 0.5**2 / 0.5**4 + 4 * 0.5**3 / 0.5**5)) < 1e-13
+    assert value[0] > 0.099 * 1e12 * ks * sigma**2
+    assert abs(bend[3] / (ks * 0.6e-3) - 1.0) < 0.02
+    assert np.all(np.array([value, slope, bend])[:, 4:] == 0.0)
+
+
+def derivatives(energy):
+    """The energy and its first two derivatives."""
+    return energy, jax.grad(energy), jax.grad(jax.grad(energy))
+
+
+def test_inverse_power_carries_the_pressure_of_the_penalty_at_two_gaps():
+    """The pressure of layers at distance r is in proportion to r times the energy of two sites at r."""
+    for low, high, gap in ((0.4, 0.7, 0.541), (0.8, 0.95, 0.875)):
+        same = brentq(lambda r: float(INVERSE(r, 1.0, 1.0) - PENALTY(r, 1.0, 1.0)), low, high)
+        assert abs(same - gap) < 1e-3

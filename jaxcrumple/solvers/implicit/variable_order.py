@@ -37,9 +37,6 @@ CONSERVING = 1e-3
 # If drag lets the errors of more than REMEMBERED steps with inertia add up, each step gets a smaller share of
 # the tolerance; the share stops falling at MOST_REMEMBERED steps.
 REMEMBERED, MOST_REMEMBERED = 500.0, 1e4
-# Largest local error in contact ranges. The contact force grows e-fold within a few hundredths of a range, so
-# that Newton's iteration does not converge from a worse prediction.
-CONTACT_SHARE = 0.01
 
 
 class VariableOrder(AbstractImplicit):
@@ -207,7 +204,8 @@ class VariableOrder(AbstractImplicit):
         allowed = self.rtol * jnp.where(state.stage == IMPLICIT, share, LOCAL_SHARE)
         if scene.contact is None:
             return allowed
-        return jnp.minimum(allowed, CONTACT_SHARE * scene.contact.range / scene.length_scale)
+        largest = scene.contact.potential.error_share * scene.contact.range
+        return jnp.minimum(allowed, largest / scene.length_scale)
 
     def _next(self, h: Scalar, order: Count, errors: Float[Array, "3"], cause: Count) -> tuple[Scalar, Count]:
         """Choose the next step and order: those with the longest predicted step."""
