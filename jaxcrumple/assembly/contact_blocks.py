@@ -98,7 +98,7 @@ class ContactBlocks(eqx.Module):
     def merge(
         self, own: Float[Array, " entries"], appended: Float[Array, " appended"]
     ) -> Float[Array, " merged"]:
-        """Compute the values (e,) of the matrix of sheet and contact."""
+        """Compute the values (e,) of the matrix of sheet and contact, without pairs that lack entries."""
         assert self.matrix is not None
         matrix = self.matrix
         values = jnp.zeros(matrix.indices.shape[0], own.dtype).at[matrix.place].set(own)
@@ -114,7 +114,10 @@ class ContactBlocks(eqx.Module):
             twice = nodes[:, :3, None] == nodes[:, None, 3:]
             # At a shared node both a block and its transpose fall on the same diagonal block.
             factor = jnp.where(twice, 2.0, 1.0)[..., None, None]
-            entries = matrix.entries[contact._rows(matrix, at)]
+            rows = contact._rows(matrix, at)
+            entries = matrix.entries[rows]
+            # Pairs without entries are left out.
+            held = held & (matrix.keys[rows] == contact._keys(at))
             return total.at[entries].add((_kept(blocks[at], held) * factor).reshape(-1, SIZE), mode="drop")
 
         arguments = (self, matrix, self._blocks(appended))

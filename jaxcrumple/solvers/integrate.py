@@ -1,6 +1,6 @@
 """`integrate`: run the stages of a scheme, and the changes between them, as one traced function."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,10 +10,12 @@ from jaxcrumple._jax.arrays import Count, Flag, Scalar, ScalarLike
 from jaxcrumple._jax.batched_cond import where_needed
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float, require_shape, select
+from jaxcrumple.contact.coverage import covers
 from jaxcrumple.contact.lists import motion
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.contact.schedule import (
     Schedule,
+    around,
     largest_move,
     listed,
     listed_active,
@@ -55,12 +57,21 @@ LOOK_AHEAD = 16
 MOST_ROUNDS = 64
 
 
+class _Trial(NamedTuple):
+    """Hold an implicit step: whether it is `underway`, its length, and what the formula has begun."""
+
+    underway: Flag
+    proposed: ProposedStep
+    begun: Any
+
+
 class _Carry(NamedTuple):
     state: State
     schedule: Schedule | None
     log: Log
     factor: Factor | None
     held: Flag
+    trial: _Trial | None
     handover: Handover
     spent: Count
     rounds: Count
@@ -98,14 +109,16 @@ def integrate(
     known = jnp.any(state.stage == jnp.asarray(solver.stages))
     stage = jnp.where(known, state.stage, solver.stages[0])
     state = eqx.tree_at(lambda s: (s.h, s.stage), state, (start_h, stage))
-    factor = None
+    factor, trial = None, None
     if solver.implicit is not None:
         factor = solver.implicit.linear.start(listed(scene, schedule).sparsity)
+        trial = _no_trial(listed(scene, schedule), state, solver)
     left, log = as_float(max_attempts), empty_log(LOG_CAPACITY, scene.n_nodes, trail)
     nothing = jnp.asarray(0)
     # Only an exact solver reuses a factor in later steps. It has none at the start of a call.
     held = jnp.asarray(solver.implicit is None or not solver.implicit.linear.exact)
-    carry = _Carry(state, schedule, log, factor, held, stay(state), nothing, nothing, left, state.t >= t_stop)
+    done = state.t >= t_stop
+    carry = _Carry(state, schedule, log, factor, held, trial, stay(state), nothing, nothing, left, done)
 
     def stages(carry: _Carry) -> _Carry:
         carry = _renewed(scene, carry._replace(rounds=carry.rounds + 1), solver)
@@ -198,7 +211,39 @@ def _implicit_stages(scene: Scene, carry: _Carry, t_stop: ScalarLike, solver: In
     return jax.lax.while_loop(unfinished, body, carry)
 
 
+def _no_trial(scene: Scene, state: State, solver: Integrator) -> _Trial:
+    """Return a trial that is not underway."""
+    assert solver.implicit is not None
+    no, nought = jnp.asarray(False), jnp.zeros(())
+    shapes = eqx.filter_eval_shape(solver.implicit.begin, scene, state, nought, no)
+    begun = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
+    return _Trial(no, ProposedStep(nought, nought, nought, no, no), begun)
+
+
 def _implicit_step(scene: Scene, carry: _Carry, t_stop: ScalarLike, solver: Integrator) -> _Carry:
+    """Begin the next step and solve its equations, or go on with a step that waited for contact lists."""
+    assert solver.implicit is not None and carry.trial is not None
+    state, underway = carry.state, carry.trial.underway
+    proposed = select(underway, carry.trial.proposed, _proposed(scene, carry, t_stop, solver))
+    if scene.contact is None:
+        return _implicit_attempt(scene, carry, solver, proposed)
+    ahead = solver.implicit.predict(scene, state, proposed.h)
+    restores = _restores(carry)
+    differs = solver.implicit.differs(scene, state, proposed.h)
+    state, schedule, ready = ready_for(scene, state, carry.schedule, ahead, differs)
+    to_restore, ready_then = ready_to_restore(scene, carry.state, carry.schedule)
+    state = select(restores | underway, carry.state, state)
+    schedule = select(restores, to_restore, select(underway, carry.schedule, schedule))
+    ready = jnp.where(restores, ready_then, underway | ready)
+
+    def attempt(carry: _Carry) -> _Carry:
+        return _implicit_attempt(scene, carry, solver, proposed)
+
+    return jax.lax.cond(ready, attempt, lambda carry: carry, carry._replace(state=state, schedule=schedule))
+
+
+def _proposed(scene: Scene, carry: _Carry, t_stop: ScalarLike, solver: Integrator) -> ProposedStep:
+    """Propose the next implicit step."""
     assert solver.implicit is not None
     state = carry.state
     wanted = jnp.minimum(state.h, solver.max_step)
@@ -210,29 +255,42 @@ def _implicit_step(scene: Scene, carry: _Carry, t_stop: ScalarLike, solver: Inte
         ahead, known = solver.implicit.predict(scene, state, wanted), state.history.count > 1
         share = largest_move(scene, carry.schedule, state.x, ahead, known)
         wanted, bounded = wanted * share, known & (share < 1)
-    proposed = propose(state.t, wanted, t_stop, bounded)
-    if scene.contact is None:
-        return _implicit_attempt(scene, carry, solver, proposed)
-    ahead = solver.implicit.predict(scene, state, proposed.h)
-
-    restores = _restores(carry)
-    differs = solver.implicit.differs(scene, state, proposed.h)
-    state, schedule, ready = ready_for(scene, state, carry.schedule, ahead, differs)
-    to_restore, ready_then = ready_to_restore(scene, carry.state, carry.schedule)
-    state = select(restores, carry.state, state)
-    schedule, ready = select(restores, to_restore, schedule), jnp.where(restores, ready_then, ready)
-
-    def attempt(carry: _Carry) -> _Carry:
-        return _implicit_attempt(scene, carry, solver, proposed)
-
-    return jax.lax.cond(ready, attempt, lambda carry: carry, carry._replace(state=state, schedule=schedule))
+    return propose(state.t, wanted, t_stop, bounded)
 
 
 def _implicit_attempt(scene: Scene, carry: _Carry, solver: Integrator, proposed: ProposedStep) -> _Carry:
-    assert solver.implicit is not None and carry.factor is not None
-    scene = listed(scene, carry.schedule)
-    state, h, aligning = carry.state, proposed.h, aligns(carry.state)
-    tried = solver.implicit.attempt(scene, state, h, carry.factor, carry.held)
+    """Solve the equations of a step as far as the contact lists permit; if they are solved, end the step."""
+    implicit, trial = solver.implicit, carry.trial
+    assert implicit is not None and trial is not None and carry.factor is not None
+    now, state = listed(scene, carry.schedule), carry.state
+    begun = select(trial.underway, trial.begun, implicit.begin(now, state, proposed.h, carry.held))
+    begun, factor = implicit.go_on(now, state, proposed.h, begun, carry.factor)
+    carry = carry._replace(factor=factor, trial=_Trial(jnp.asarray(True), proposed, begun))
+    return jax.lax.cond(
+        implicit.is_over(begun),
+        lambda carry: _ended(now, carry, solver),
+        lambda carry: _interposed(now, carry, solver),
+        carry,
+    )
+
+
+def _interposed(scene: Scene, carry: _Carry, solver: Integrator) -> _Carry:
+    """Request the contact lists that the step underway needs, if it needs other ones."""
+    assert solver.implicit is not None and carry.trial is not None
+    if scene.contact is None or carry.schedule is None:
+        return carry
+    x = solver.implicit.iterate(carry.trial.begun)
+    asked = around(scene, carry.state, carry.schedule, x)
+    state, schedule = select(covers(scene.own_lists, x), (carry.state, carry.schedule), asked)
+    return carry._replace(state=state, schedule=schedule)
+
+
+def _ended(scene: Scene, carry: _Carry, solver: Integrator) -> _Carry:
+    """End the step underway: accept or reject it, log it, and choose the next stage."""
+    assert solver.implicit is not None and carry.trial is not None and carry.factor is not None
+    state, proposed, aligning = carry.state, carry.trial.proposed, aligns(carry.state)
+    h = proposed.h
+    tried = solver.implicit.end(scene, state, h, carry.trial.begun, carry.factor)
     moved = _moved(scene, state, tried, proposed, solver)
     suggested = tried.next_h
     # A step shortened to end at `t_stop` must not shorten the next one.
@@ -252,14 +310,15 @@ def _implicit_attempt(scene: Scene, carry: _Carry, solver: Integrator, proposed:
     handover = after_implicit(scene, moved, tried.accepted, tried.cause, solver, proposed.bounded)
     hopeless = ~tried.accepted & (handover.stage != EXPLICIT) & is_tiny(moved.h, moved.t)
     moved = given_up(moved, hopeless, tried.cause)
-    carry = carry._replace(factor=tried.factor, held=jnp.ones_like(carry.held))
+    over = carry.trial._replace(underway=jnp.asarray(False))
+    carry = carry._replace(held=jnp.ones_like(carry.held), trial=over)
     after = _tried(carry, moved, log, handover, IMPLICIT_COST, tried.accepted & proposed.lands)
     restored = carry._replace(schedule=rescheduled(state, carry.schedule))
     return after._replace(
         **{
             name: select(tried.restored, getattr(restored, name), getattr(after, name))
             for name in _Carry._fields
-            if name not in ("factor", "held")
+            if name not in ("factor", "held", "trial")
         }
     )
 

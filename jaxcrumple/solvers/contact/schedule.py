@@ -47,6 +47,8 @@ SLACK, MOST_SLACK, NEXT_SLACK = 0.05, 0.25, 0.01
 # Margin of a list of site pairs over the steps that it covers. It is rebuilt if its skin is LOOSE times the
 # one needed now.
 MARGIN, LOOSE = 1.2, 2.0
+# Skin in ranges of a list of site pairs around an iterate, and of the candidates for it.
+AROUND, WIDER = 0.4, 0.6
 # Largest skin of a list of site pairs in ranges if triangles are near; the factor absorbs rounding.
 LONGEST = 1.01 * (MOST_SLACK + PAIRS.floor + 0.5 * MARGIN * STRIDE)
 
@@ -271,6 +273,28 @@ def ready_for(
     short = ~ready & (schedule.short | (schedule.lists.pairs.triangle_count > 0))
     schedule = schedule._replace(candidates=listing.candidates, pairs=listing.pairs)
     return state, schedule._replace(status=status, short=short), ready
+
+
+def around(scene: Scene, state: State, schedule: Schedule, x: NodeVectors) -> tuple[State, Schedule]:
+    """Request lists for an iterate `x` (n, 3) that the present ones do not cover.
+
+    They also cover the start of the step, for the test of collisions on the way."""
+    contact, listing = scene.contact, state.listing
+    assert contact is not None and listing is not None
+    moved, sigma = motion(state.x, x), contact.range
+    pairs = Reference(state.x + 0.5 * (x - state.x), 0.5 * moved + AROUND * sigma)
+    candidates = Reference(state.x, moved + WIDER * sigma)
+    enough = listing.candidates.covers(pairs.x, pairs.skin)
+    candidates = select(enough, listing.candidates, candidates)
+    listing = eqx.tree_at(
+        lambda made: (made.candidates, made.pairs, made.active),
+        listing,
+        (candidates, pairs, nowhere(scene.n_nodes)),
+    )
+    # A list with too many entries asks for more capacity then, and not for a shorter step.
+    short, status = jnp.asarray(True), ListStatus.REBUILD_PAIRS.array
+    schedule = schedule._replace(candidates=candidates, pairs=pairs, short=short, status=status)
+    return eqx.tree_at(lambda s: s.listing, state, listing), schedule
 
 
 def _status(

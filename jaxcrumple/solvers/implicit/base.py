@@ -1,7 +1,7 @@
 """Common parts of the implicit steps: a step attempt, its rejection, and the interface of a formula."""
 
 import abc
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,7 +10,6 @@ from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeVectors, Scalar
 from jaxcrumple.history import Linearization
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.contact.schedule import passes, unlisted_turn
-from jaxcrumple.solvers.implicit.newton import NewtonSolution
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
 from jaxcrumple.state import CAUSES, IMPLICIT, State
 
@@ -60,7 +59,10 @@ class ImplicitAttempt(NamedTuple):
 
 
 class AbstractImplicit(eqx.Module):
-    """Define a formula of the implicit stages."""
+    """Define a formula of the implicit stages.
+
+    A step attempt has three parts, so that the contact lists can be rebuilt while the equations are solved:
+    `begin` at a proposed step, `go_on` until the result `is_over`, and `end`."""
 
     rtol: eqx.AbstractVar[Scalar]
     linear: eqx.AbstractVar[AbstractLinearSolver]
@@ -74,10 +76,26 @@ class AbstractImplicit(eqx.Module):
         """Bound the distance in m of a node from `predict` after an accepted step; 0 if unknown."""
 
     @abc.abstractmethod
-    def attempt(self, scene: Scene, state: State, h: Scalar, factor: Factor, held: Flag) -> ImplicitAttempt:
-        """Try a step of `h` s in the state's stage.
+    def begin(self, scene: Scene, state: State, h: Scalar, held: Flag) -> Any:
+        """Begin a step of `h` s in the state's stage, and return what `go_on` continues.
 
-        `held`: whether `factor` is the factor of the tangent `state.kept`."""
+        `held`: whether the factor of the tangent `state.kept` is there."""
+
+    @abc.abstractmethod
+    def go_on(self, scene: Scene, state: State, h: Scalar, begun: Any, factor: Factor) -> tuple[Any, Factor]:
+        """Solve the equations of the step until they are solved, or an iterate leaves the contact lists."""
+
+    @abc.abstractmethod
+    def is_over(self, begun: Any) -> Flag:
+        """Return whether the equations are solved, or cannot be."""
+
+    @abc.abstractmethod
+    def iterate(self, begun: Any) -> NodeVectors:
+        """Return the positions (n, 3) that the contact lists must cover to go on."""
+
+    @abc.abstractmethod
+    def end(self, scene: Scene, state: State, h: Scalar, begun: Any, factor: Factor) -> ImplicitAttempt:
+        """Judge the step."""
 
 
 def aligns(state: State) -> Flag:
@@ -86,9 +104,11 @@ def aligns(state: State) -> Flag:
 
 
 def judge(
-    scene: Scene, state: State, solution: NewtonSolution, x: NodeVectors, t: Scalar, error: Scalar
+    scene: Scene, state: State, converged: Flag, indefinite: Flag, x: NodeVectors, t: Scalar, error: Scalar
 ) -> Count:
-    """Return the cause (index into `CAUSES`) to reject the step to `x` at time `t`, or -1 to accept it."""
+    """Return the cause (index into `CAUSES`) to reject the step to `x` at time `t`, or -1 to accept it.
+
+    `converged`: whether its equations are solved; `indefinite`: whether their tangent is indefinite."""
     before = scene.bending.hinges(state.x).theta
     after = scene.bending.hinges(x).theta
     finite = jnp.all(jnp.isfinite(x)) & jnp.isfinite(error)
@@ -96,7 +116,7 @@ def judge(
     flipped = jnp.max(jnp.abs(after - before)) > jnp.pi
     checks = {
         "nonfinite": ~finite,
-        "newton": ~solution.converged,
+        "newton": ~converged,
         "fold": flipped,
         "error": error > 1.0,
         "contact": passes(scene, state, x, t, unlisted_turn(scene, x)),
@@ -105,7 +125,7 @@ def judge(
     for name in reversed(checks):
         cause = jnp.where(checks[name], CAUSES.index(name), cause)
     # An indefinite matrix explains a failed iteration better than the failure itself.
-    return jnp.where(finite & solution.indefinite, CAUSES.index("unstable"), cause)
+    return jnp.where(finite & indefinite, CAUSES.index("unstable"), cause)
 
 
 def resized(h: Scalar, order: Count, error: Scalar, cause: Count, judged: Count | None = None) -> Scalar:

@@ -1,10 +1,12 @@
 """The paper's quasistatic step: two BDF solutions, of orders 4 and 3, whose difference is the error."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 
 from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeVectors, Scalar
-from jaxcrumple._jax.tree import as_float
+from jaxcrumple._jax.tree import as_float, select
 from jaxcrumple.geometry.hinge import curvature
 from jaxcrumple.history import ImplicitStep, implicit_step
 from jaxcrumple.scene import Scene
@@ -17,13 +19,25 @@ from jaxcrumple.solvers.implicit.base import (
     resized,
 )
 from jaxcrumple.solvers.implicit.bdf import coefficients, extrapolation
-from jaxcrumple.solvers.implicit.newton import FORCING, NewtonSolution, newton
+from jaxcrumple.solvers.implicit.newton import FORCING, NewtonIteration, begin, go_on
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
 from jaxcrumple.state import State
-from jaxcrumple.system import residual
+from jaxcrumple.system import updated_rest_curvature
 
 # Order of the paper's solution, and number of points of its predictor.
 ORDER, PREDICTOR_POINTS = 4, 4
+
+
+class _Pair(NamedTuple):
+    """Hold the solves of a step: the current `iteration`, and whether it is the `second`; solution `first`
+    (n, 3) of order s, and what it took."""
+
+    iteration: NewtonIteration
+    second: Flag
+    first: NodeVectors
+    iterations: Count
+    linear: Count
+    factors: Count
 
 
 class BDFPair(AbstractImplicit):
@@ -36,7 +50,7 @@ class BDFPair(AbstractImplicit):
     rtol: Scalar
     linear: AbstractLinearSolver
     newton_share: Scalar = eqx.field(default=0.05, converter=as_float)
-    max_iterations: int = eqx.field(static=True, default=8)
+    max_iterations: int = eqx.field(static=True, default=20)
 
     def predict(self, scene: Scene, state: State, h: Scalar) -> NodeVectors:
         """Predict the positions (n, 3) after a step of `h` s from the history."""
@@ -49,34 +63,58 @@ class BDFPair(AbstractImplicit):
         """Return 0, unknown: the error estimate does not use the predictor."""
         return jnp.zeros(())
 
-    def attempt(self, scene: Scene, state: State, h: Scalar, factor: Factor, held: Flag) -> ImplicitAttempt:
-        """Try a step of `h` s."""
-        history = state.history
-        order = jnp.clip(history.count, 1, ORDER)
-        step = _equations(scene, state, h, order)
-        solution = self._newton(scene, step, self.predict(scene, state, h), factor)
-        x, v = solution.x, step.velocity(solution.x)
-        _, p = residual(scene, step, x)
-        lower = _equations(scene, state, h, jnp.maximum(order - 1, 1))
-        second = self._newton(scene, lower, x, solution.factor)
-        first_step = self._first_error(scene, state, step, x, h, second.factor)
-        error = self._error(scene, state, h, order, (x, p), lower, second, first_step)
-        both = solution._replace(
-            converged=solution.converged & second.converged,
-            indefinite=solution.indefinite | second.indefinite,
-        )
-        cause = judge(scene, state, both, x, state.t + h, error)
-        next_h = resized(h, order, error, cause, jnp.maximum(order - 1, 1))
-        return ImplicitAttempt(
-            x, v, p, (v - state.v) / h, error, cause, order, next_h, history.order, second.factor, state.kept,
-            solution.iterations + second.iterations, solution.linear + second.linear,
-            solution.factors + second.factors, solution.restored,
-        )  # fmt: skip
+    def begin(self, scene: Scene, state: State, h: Scalar, held: Flag) -> "_Pair":
+        """Begin a step of `h` s with the solve of order s."""
+        step = _equations(scene, state, h, _order(state))
+        return self._begun(step, self.predict(scene, state, h), jnp.asarray(False))
 
-    def _newton(self, scene: Scene, step: ImplicitStep, guess: NodeVectors, factor: Factor) -> NewtonSolution:
+    def _begun(self, step: ImplicitStep, guess: NodeVectors, second: Flag) -> "_Pair":
+        zero = jnp.asarray(0)
+        iteration = begin(step, guess, self.linear, None, jnp.asarray(True))
+        return _Pair(iteration, second, guess, zero, zero, zero)
+
+    def go_on(
+        self, scene: Scene, state: State, h: Scalar, begun: "_Pair", factor: Factor
+    ) -> tuple["_Pair", Factor]:
+        """Go on with the first solve, or with the second one; begin the second after the first."""
+        order = _order(state)
+        lower = _equations(scene, state, h, _lower(order))
+        step = select(begun.second, lower, _equations(scene, state, h, order))
+        guess = jnp.where(begun.second, begun.first, self.predict(scene, state, h))
         tolerance = self.newton_share * LOCAL_SHARE * self.rtol * scene.length_scale
-        yes = jnp.asarray(True)
-        return newton(scene, step, guess, self.linear, factor, tolerance, self.max_iterations, None, yes)
+        found, factor = go_on(
+            scene, step, guess, begun.iteration, self.linear, factor, tolerance, self.max_iterations
+        )
+        begun = begun._replace(iteration=found)
+        after = self._begun(lower, found.x, jnp.asarray(True))._replace(
+            iterations=found.iterations, linear=found.linear, factors=found.factors
+        )
+        return select(~begun.second & found.converged, after, begun), factor
+
+    def is_over(self, begun: "_Pair") -> Flag:
+        """Return whether both solves are over, or the first failed."""
+        return begun.iteration.is_over(self.max_iterations)
+
+    def iterate(self, begun: "_Pair") -> NodeVectors:
+        """Return the iterate (n, 3)."""
+        return begun.iteration.x
+
+    def end(self, scene: Scene, state: State, h: Scalar, begun: "_Pair", factor: Factor) -> ImplicitAttempt:
+        """Judge the step."""
+        order, found = _order(state), begun.iteration
+        step, lower = (_equations(scene, state, h, s) for s in (order, _lower(order)))
+        x, v = begun.first, step.velocity(begun.first)
+        p = updated_rest_curvature(scene, step, x)
+        first_step = self._first_error(scene, state, step, x, h, factor)
+        error = self._error(scene, state, h, order, (x, p), lower, found.x, first_step)
+        converged = begun.second & found.converged
+        cause = judge(scene, state, converged, found.indefinite, x, state.t + h, error)
+        next_h = resized(h, order, error, cause, _lower(order))
+        return ImplicitAttempt(
+            x, v, p, (v - state.v) / h, error, cause, order, next_h, state.history.order, factor, state.kept,
+            begun.iterations + found.iterations, begun.linear + found.linear, begun.factors + found.factors,
+            found.restores,
+        )  # fmt: skip
 
     def _first_error(
         self, scene: Scene, state: State, step: ImplicitStep, x: NodeVectors, h: Scalar, factor: Factor
@@ -98,19 +136,19 @@ class BDFPair(AbstractImplicit):
         order: Count,
         upper: tuple[NodeVectors, HingeValues | None],
         lower: ImplicitStep,
-        second: NewtonSolution,
+        second: NodeVectors,
         first_step: NodeVectors,
     ) -> Scalar:
         """Return the difference of the two solutions in units of the tolerance.
 
         At order 1 it is the difference from an explicit Euler step."""
         x, p = upper
-        gap = jnp.where(order == 1, first_step, second.x - x)
+        gap = jnp.where(order == 1, first_step, second - x)
         position = jnp.max(jnp.abs(gap)) / scene.length_scale
         share = self.rtol * jnp.where(aligns(state), 1.0, LOCAL_SHARE)
         if p is None or state.p is None or scene.plasticity is None:
             return position / share
-        _, p_lower = residual(scene, lower, second.x)
+        p_lower = updated_rest_curvature(scene, lower, second)
         c = curvature(scene.bending.hinges(state.x).theta)
         flow = 0.5 * (p - state.p - h * scene.plasticity.rate(c, state.p))
         rest = jnp.where(order == 1, flow, p_lower - p)  # type: ignore[operator]
@@ -120,3 +158,13 @@ class BDFPair(AbstractImplicit):
 def _equations(scene: Scene, state: State, h: Scalar, order: Count) -> ImplicitStep:
     alpha, beta_h = coefficients(h, state.history.steps, order)
     return implicit_step(scene, state.history, alpha, beta_h, state.t + h)
+
+
+def _order(state: State) -> Count:
+    """Return the order s of the next step."""
+    return jnp.clip(state.history.count, 1, ORDER)
+
+
+def _lower(order: Count) -> Count:
+    """Return the order of the second solve."""
+    return jnp.maximum(order - 1, 1)

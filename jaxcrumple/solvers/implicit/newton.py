@@ -1,4 +1,8 @@
-"""Newton's method on the condensed system (51)."""
+"""Newton's method on the condensed system (51), in pieces that can wait for contact lists.
+
+Each piece iterates until the equations are solved, the method fails, or an iterate leaves the motions that
+the contact lists cover. The caller then rebuilds the lists around the iterate and goes on.
+"""
 
 from typing import NamedTuple
 
@@ -10,12 +14,13 @@ from jaxtyping import Array, Float
 from jaxcrumple._jax.arrays import Count, Flag, NodeVectors, Scalar
 from jaxcrumple._jax.batched_cond import where_needed
 from jaxcrumple._jax.tree import select
+from jaxcrumple.contact.coverage import covers
 from jaxcrumple.history import NEVER, ImplicitStep, Linearization
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
 from jaxcrumple.system import linearize, residual
 
-# An iteration diverges if its update grows by more than this factor.
+# An iteration with the tangent of an earlier step diverges if its update grows by more than this factor.
 DIVERGENCE = 2.0
 # Refactorise if PATIENCE more iterations with the lagged tangent would not converge; a factorisation costs
 # about that many.
@@ -26,133 +31,232 @@ MOST_STEPS, RATIO = 20, 0.6
 # Forcing term: relative residual of each linear system. A direct solver meets it with one back substitution;
 # the next Newton iteration corrects the residual of an iterative solver.
 FORCING = 1e-3
+# A change is taken back in part if the residual along it ends with the other sign and more than OVERSHOOT of
+# its size. What remains is the zero of a straight line, between SMALLEST and LARGEST of it, down to LEAST.
+OVERSHOOT, SMALLEST, LARGEST, LEAST = 0.7, 0.1, 0.7, 1e-3
+# Part of a change that is taken back if the residual at its end is not finite, or too far away to compute.
+UNSOUND = 0.3
+# Largest change of an iterate in contact ranges.
+STRETCH = 0.5
+# Inertia that an indefinite tangent receives, as a multiple of the step's own: SHIFT, then GROW times as much
+# as long as it is indefinite, up to MOST; then DECAY times as much in each iteration, until it is NEGLIGIBLE.
+SHIFT, GROW, DECAY, NEGLIGIBLE, MOST = 1.0, 4.0, 0.25, 0.1, 1e4
 
 
-class NewtonSolution(NamedTuple):
-    """Hold the outcome of a Newton iteration.
+class NewtonIteration(NamedTuple):
+    """Hold an iteration between two pieces.
 
-    `x` (n, 3); `factor`: factor of the last tangent; `kept`: where that tangent was computed; `iterations`;
-    `linear`: iterations of the linear solver; `factors`: number of factorisations; `converged`; `indefinite`:
-    whether a tangent had a negative eigenvalue, so that the equilibrium is unstable; `restored`: whether the
-    call only recomputed a missing factor.
+    `x` (n, 3) in m: iterate; `kept`: where the tangent of the factor was computed; `renew`: whether the next
+    iteration computes its own; `change` (n, 3) and `update` in m: direction of the last change and its size,
+    infinite before the first; `slope` in J: residual along the direction before the change, 0 if it is not to
+    be taken back; `part`: how much of it was taken; `shift`: inertia in the tangent as a multiple of the
+    step's; `partial`: whether the tangent lacks pairs without entries in the matrix; `iterations`; `linear`:
+    iterations of the linear solver; `factors`: number of factorisations; `converged`, `failed`; `indefinite`:
+    whether it failed for a tangent with a negative eigenvalue, so that the equilibrium is unstable;
+    `restores`: whether it only recomputes a missing factor.
     """
 
     x: NodeVectors
-    factor: Factor
-    kept: Linearization | None
-    iterations: Count
-    linear: Count
-    factors: Count
-    converged: Flag
-    indefinite: Flag
-    restored: Flag
-
-
-class _Carry(NamedTuple):
-    x: NodeVectors
-    factor: Factor
     kept: Linearization
+    renew: Flag
+    change: NodeVectors
+    update: Scalar
+    slope: Scalar
+    part: Scalar
+    shift: Scalar
+    partial: Flag
     iterations: Count
     linear: Count
     factors: Count
-    update: Scalar
-    renew: Flag
     converged: Flag
     failed: Flag
     indefinite: Flag
+    restores: Flag
+
+    def is_over(self, most: int) -> Flag:
+        """Return whether it has ended, after `most` iterations at the latest."""
+        over = self.converged | self.failed | (self.restores & (self.iterations > 0))
+        return over | (self.iterations >= most)
 
 
-def newton(
-    scene: Scene,
+def begin(
     step: ImplicitStep,
     guess: NodeVectors,
     linear: AbstractLinearSolver,
-    factor: Factor,
-    tolerance: Scalar,
-    max_iterations: int,
     kept: Linearization | None,
     held: Flag,
-) -> NewtonSolution:
-    """Find x with zero residual by Newton's method.
+) -> NewtonIteration:
+    """Begin to solve the equations of `step` from `guess` (n, 3) in m.
 
     With an exact solver the tangent and its factor are lagged as long as the updates contract, also from one
-    step with inertia to the next. `kept` states where the tangent of `factor` was computed, and `held`
-    whether `factor` is valid. If it is not, the call only recomputes it. With other solvers every iteration
-    computes its own tangent, and uses the preconditioner of the first one.
-
-    The iteration stops when the remaining error, estimated from the contraction of the updates, is below
-    `tolerance` (m, maximum norm). It also stops when the updates grow, when the tangent is indefinite, or
-    after `max_iterations`.
+    step with inertia to the next. `kept` states where the tangent of the factor was computed (None: in no
+    earlier step), and `held` whether the factor is there. If it is not, the iteration only recomputes it.
+    With other solvers every iteration computes its own tangent, and uses the preconditioner of the first one.
     """
     old = Linearization(step, guess, jnp.asarray(NEVER, int)) if kept is None else kept
     restores = must_restore(old, held)
     usable = _usable(step, old) if linear.exact and kept is not None else jnp.asarray(False)
-
-    def renewed(carry: _Carry) -> Factor:
-        here = select(restores, (old.step, old.x), (step, carry.x))
-        return linear.factor(scene.sparsity, linearize(scene, *here)[1], carry.factor)
-
-    def tangent(carry: _Carry) -> tuple[Float[Array, " entries"] | None, Factor]:
-        if linear.exact:
-            factor = jax.lax.cond(carry.renew, renewed, lambda carry: carry.factor, carry)
-            return None, factor
-        _, values = linearize(scene, step, carry.x)
-        factor = where_needed(carry.renew, linear.factor, carry.factor, scene.sparsity, values, carry.factor)
-        return values, factor
-
-    def body(carry: _Carry) -> _Carry:
-        value, _ = residual(scene, step, carry.x)
-        values, factor = tangent(carry)
-        taken = Linearization(step, carry.x, jnp.zeros_like(old.age))
-        kept = select(carry.renew, taken, carry.kept)
-        solution = linear.solve(scene.sparsity, factor, values, -value.reshape(-1), FORCING)
-        change = _relaxation(step, kept) * solution.x.reshape(carry.x.shape)
-        update = jnp.max(jnp.abs(change))
-        first = jnp.isinf(carry.update)
-        contraction = jnp.where(first, 1.0, update / carry.update)
-        remaining = jnp.where(contraction < 1, contraction / (1 - contraction) * update, jnp.inf)
-        # The first update has no contraction rate; quadratic convergence is assumed for tiny updates only.
-        converged = (remaining < tolerance) | (update < 0.01 * tolerance)
-        lost = ~jnp.isfinite(update) | (contraction > DIVERGENCE) | solution.indefinite
-        # Failure with the tangent of an earlier step proves nothing: restart with the tangent of this step.
-        again = lost & (kept.age > 0)
-        return _Carry(
-            jnp.where(again, guess, carry.x + change),
-            factor,
-            kept,
-            carry.iterations + 1,
-            carry.linear + solution.iterations,
-            carry.factors + carry.renew,
-            jnp.where(again, jnp.inf, update),
-            again | (~first & (remaining * contraction**PATIENCE > tolerance)),
-            converged & ~lost,
-            lost & ~again,
-            solution.indefinite & ~again,
-        )
-
-    def unfinished(carry: _Carry) -> Flag:
-        over = carry.converged | carry.failed | (restores & (carry.iterations > 0))
-        return ~over & (carry.iterations < max_iterations)
-
-    zero, no = jnp.asarray(0), jnp.asarray(False)
     first = eqx.tree_at(lambda k: k.age, old, jnp.where(usable, old.age + 1, NEVER))
-    start = _Carry(
-        guess, factor, first, zero, zero, zero, jnp.asarray(jnp.inf), ~usable | restores, no, no, no
-    )
-    end = jax.lax.while_loop(unfinished, body, start)
-    age = jnp.where(end.converged, end.kept.age, NEVER)
-    last = None
-    if kept is not None:
-        last = select(restores, kept, eqx.tree_at(lambda k: k.age, end.kept, age))
-    return NewtonSolution(
-        end.x, end.factor, last, end.iterations, end.linear, end.factors, end.converged & ~restores,
-        end.indefinite, restores,
+    zero, no, nought = jnp.asarray(0), jnp.asarray(False), jnp.zeros(())
+    return NewtonIteration(
+        guess, first, ~usable | restores, jnp.zeros_like(guess), jnp.asarray(jnp.inf), nought,
+        jnp.ones(()), nought, no, zero, zero, zero, no, no, no, restores,
     )  # fmt: skip
+
+
+def go_on(
+    scene: Scene,
+    step: ImplicitStep,
+    guess: NodeVectors,
+    iteration: NewtonIteration,
+    linear: AbstractLinearSolver,
+    factor: Factor,
+    tolerance: Scalar,
+    most: int,
+) -> tuple[NewtonIteration, Factor]:
+    """Iterate until the iteration is over, or until the iterate leaves the contact lists of the scene.
+
+    The iteration converges when the remaining error, estimated from the contraction of the updates, is below
+    `tolerance` (m, maximum norm). In a step with inertia an indefinite tangent receives more inertia. A
+    change by the step's own tangent that leads too far is taken back in part: the residual is the gradient of
+    an incremental energy, which falls along the change before, and must not rise steeply after it.
+
+    **Arguments:** `guess` (n, 3): start of the iteration, which begins anew if the tangent of another step
+    does not serve; `most`: number of iterations after which it fails.
+    """
+    widest = jnp.inf if scene.contact is None else STRETCH * scene.contact.range
+
+    def renewed(now: NewtonIteration, factor: Factor) -> Factor:
+        kept = now.kept
+        here, x = select(now.restores, (kept.step, kept.x), (step, now.x))
+        stiffer = eqx.tree_at(lambda s: s.beta_h, here, here.beta_h / jnp.sqrt(1.0 + now.shift))
+        return linear.factor(scene.sparsity, linearize(scene, stiffer, x)[1], factor)
+
+    def tangent(now: NewtonIteration, factor: Factor) -> tuple[Float[Array, " entries"] | None, Factor]:
+        if linear.exact:
+            return None, jax.lax.cond(now.renew, renewed, lambda now, factor: factor, now, factor)
+        stiffer = eqx.tree_at(lambda s: s.beta_h, step, step.beta_h / jnp.sqrt(1.0 + now.shift))
+        _, values = linearize(scene, stiffer, now.x)
+        return values, where_needed(now.renew, linear.factor, factor, scene.sparsity, values, factor)
+
+    def forward(now: NewtonIteration, factor: Factor, value: NodeVectors) -> tuple[NewtonIteration, Factor]:
+        values, factor = tangent(now, factor)
+        taken = Linearization(step, now.x, jnp.zeros_like(now.kept.age))
+        kept = select(now.renew & ~now.restores, taken, now.kept)
+        solution = linear.solve(scene.sparsity, factor, values, -value.reshape(-1), FORCING)
+        relaxed = jnp.where(now.shift > 0, 1.0, _relaxation(step, kept))
+        change = relaxed * solution.x.reshape(now.x.shape)
+        return _taken(now, guess, step, kept, change, value, solution.indefinite, widest, tolerance)._replace(
+            linear=now.linear + solution.iterations,
+            factors=now.factors + now.renew,
+            partial=jnp.where(now.renew, ~_has_entries(scene), now.partial),
+        ), factor
+
+    def body(carry: tuple[NewtonIteration, Factor]) -> tuple[NewtonIteration, Factor]:
+        now, factor = carry
+        value, _ = residual(scene, step, now.x)
+        sound = jnp.all(jnp.isfinite(value))
+        slope = jnp.vdot(value, now.change)
+        too_far = (now.slope < 0) & (~sound | (slope > -OVERSHOOT * now.slope)) & (now.part > LEAST)
+        return jax.lax.cond(
+            too_far,
+            lambda now, factor, value: (_taken_back(now, sound, slope), factor),
+            forward, now, factor, value,
+        )  # fmt: skip
+
+    def unfinished(carry: tuple[NewtonIteration, Factor]) -> Flag:
+        now, _ = carry
+        return ~now.is_over(most) & covered(scene, now)
+
+    return jax.lax.while_loop(unfinished, body, (iteration, factor))
+
+
+def covered(scene: Scene, iteration: NewtonIteration) -> Flag:
+    """Return whether the contact lists cover the iterate, or the place of a factor to restore."""
+    if scene.contact is None:
+        return jnp.asarray(True)
+    return iteration.restores | covers(scene.own_lists, iteration.x)
+
+
+def _taken(
+    now: NewtonIteration,
+    guess: NodeVectors,
+    step: ImplicitStep,
+    kept: Linearization,
+    change: NodeVectors,
+    value: NodeVectors,
+    indefinite: Flag,
+    widest: Scalar | float,
+    tolerance: Scalar,
+) -> NewtonIteration:
+    """Return the iteration after a `change` (n, 3) of the iterate, of at most `widest` in m."""
+    length = jnp.max(jnp.abs(change))
+    cut = length > widest
+    change = jnp.where(cut, widest / length, 1.0) * change
+    update = jnp.minimum(length, widest)
+    first = jnp.isinf(now.update)
+    whole = ~cut & (now.part == 1.0)
+    contraction = jnp.where(first | ~whole, 1.0, update / now.update)
+    remaining = jnp.where(contraction < 1, contraction / (1 - contraction) * update, jnp.inf)
+    # The first update has no contraction rate; quadratic convergence is assumed for tiny updates only.
+    near = (remaining < tolerance) | (update < 0.01 * tolerance)
+    bad = indefinite | ~jnp.isfinite(update)
+    # Failure with the tangent of an earlier step proves nothing: restart with the tangent of this step.
+    again = (kept.age > 0) & (bad | (contraction > DIVERGENCE))
+    stiffens = indefinite & ~again & (step.inertia > 0) & (now.shift < MOST)
+    shift = jnp.where(stiffens, jnp.maximum(GROW * now.shift, SHIFT), DECAY * now.shift)
+    shift = jnp.where(again, now.shift, jnp.where(shift < NEGLIGIBLE, 0.0, shift))
+    failed = bad & ~again & ~stiffens
+    stays = again | stiffens
+    slow = ~first & (remaining * contraction**PATIENCE > tolerance)
+    return now._replace(
+        x=jnp.where(again, guess, jnp.where(stiffens, now.x, now.x + change)),
+        kept=kept,
+        renew=stays | slow | ~whole | (now.shift > 0),
+        change=change,
+        update=jnp.where(stays, jnp.inf, update),
+        slope=jnp.where(stays | (kept.age > 0), 0.0, jnp.vdot(value, change)),
+        part=jnp.ones_like(now.part),
+        shift=shift,
+        iterations=now.iterations + 1,
+        converged=near & ~bad & ~again & (now.shift == 0),
+        failed=failed,
+        indefinite=failed & indefinite,
+    )
+
+
+def _taken_back(now: NewtonIteration, sound: Flag, slope: Scalar) -> NewtonIteration:
+    """Return the iteration with a smaller part of its last change, at whose end the residual along it is
+    `slope` in J, or not finite if not `sound`."""
+    secant = jnp.where(sound, now.slope / (now.slope - slope), UNSOUND)
+    share = jnp.clip(secant, SMALLEST, LARGEST)
+    part = share * now.part
+    return now._replace(
+        x=now.x - (now.part - part) * now.change,
+        part=part,
+        update=share * now.update,
+        renew=jnp.ones_like(now.renew),
+        iterations=now.iterations + 1,
+    )
+
+
+def _has_entries(scene: Scene) -> Flag:
+    """Return whether all pairs of triangles in contact have entries in the matrix of a direct solver."""
+    blocks = scene.sparsity.contact
+    return jnp.asarray(True) if blocks is None else blocks.placed()
 
 
 def must_restore(kept: Linearization, held: Flag) -> Flag:
     """Return whether the lagged tangent is usable but its factor is missing (not `held`)."""
     return (kept.age < NEVER) & ~held
+
+
+def last_tangent(iteration: NewtonIteration, before: Linearization) -> Linearization:
+    """Return where the tangent of the factor was computed, for the next step; `before`: for the last one."""
+    # A matrix with entries for more pairs would give another factor, and a resumed run might have it.
+    serves = iteration.converged & ~iteration.partial
+    age = jnp.where(serves, iteration.kept.age, NEVER)
+    return select(iteration.restores, before, eqx.tree_at(lambda k: k.age, iteration.kept, age))
 
 
 def _usable(step: ImplicitStep, kept: Linearization) -> Flag:

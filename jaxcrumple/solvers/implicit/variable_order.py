@@ -22,7 +22,7 @@ from jaxcrumple.solvers.implicit.base import (
     resized,
 )
 from jaxcrumple.solvers.implicit.bdf import damped_order, error_constant, extrapolation, step_formula
-from jaxcrumple.solvers.implicit.newton import FORCING, newton
+from jaxcrumple.solvers.implicit.newton import FORCING, NewtonIteration, begin, go_on, last_tangent
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
 from jaxcrumple.state import CAUSES, IMPLICIT, State
 from jaxcrumple.system import residual
@@ -67,7 +67,7 @@ class VariableOrder(AbstractImplicit):
     newton_share: Scalar = eqx.field(default=0.03, converter=as_float)
     inertia: bool = eqx.field(static=True, default=True)
     max_order: int = eqx.field(static=True, default=5)
-    max_iterations: int = eqx.field(static=True, default=8)
+    max_iterations: int = eqx.field(static=True, default=20)
 
     def equations(self, scene: Scene, state: State, h: Scalar) -> tuple[ImplicitStep, NodeVectors]:
         """Return the equations of a step of `h` s, and the start (n, 3) of Newton's iteration."""
@@ -83,28 +83,48 @@ class VariableOrder(AbstractImplicit):
         share = self._formula(scene, state, h).share
         return DIAGONAL * self._allowed(scene, state, h) / share * scene.length_scale
 
-    def attempt(self, scene: Scene, state: State, h: Scalar, factor: Factor, held: Flag) -> ImplicitAttempt:
-        """Try a step of `h` s in the state's stage."""
+    def begin(self, scene: Scene, state: State, h: Scalar, held: Flag) -> NewtonIteration:
+        """Begin a step of `h` s in the state's stage."""
+        step, guess = self.equations(scene, state, h)
+        return begin(step, guess, self.linear, state.kept if self.inertia else None, held)
+
+    def go_on(
+        self, scene: Scene, state: State, h: Scalar, begun: NewtonIteration, factor: Factor
+    ) -> tuple[NewtonIteration, Factor]:
+        """Solve the equations of the step."""
+        step, guess = self.equations(scene, state, h)
+        tolerance = self._newton_share(state) * self._allowed(scene, state, h) * scene.length_scale
+        return go_on(scene, step, guess, begun, self.linear, factor, tolerance, self.max_iterations)
+
+    def is_over(self, begun: NewtonIteration) -> Flag:
+        """Return whether the iteration is over."""
+        return begun.is_over(self.max_iterations)
+
+    def iterate(self, begun: NewtonIteration) -> NodeVectors:
+        """Return the iterate (n, 3)."""
+        return begun.x
+
+    def end(
+        self, scene: Scene, state: State, h: Scalar, begun: NewtonIteration, factor: Factor
+    ) -> ImplicitAttempt:
+        """Judge the step."""
         formula = self._formula(scene, state, h)
         theta, step, order = formula.theta, formula.step, formula.orders.used
         predicted = _predicted(scene, state, h, order)
-        guess = _start(formula, state, predicted)
-        tolerance = self._newton_share(state) * self._allowed(scene, state, h) * scene.length_scale
-        kept = state.kept if self.inertia else None
-        solution = newton(scene, step, guess, self.linear, factor, tolerance, self.max_iterations, kept, held)
-        mean_v = step.velocity(solution.x)
-        _, mean_p = residual(scene, step, solution.x)
-        x, v = _whole(theta, solution.x, state.x), _whole(theta, mean_v, state.v)
+        mean_v = step.velocity(begun.x)
+        _, mean_p = residual(scene, step, begun.x)
+        x, v = _whole(theta, begun.x, state.x), _whole(theta, mean_v, state.v)
         p = None if mean_p is None or state.p is None else _whole(theta, mean_p, state.p)
-        change = self._filtered(scene, state, step, x - predicted, solution.factor)
+        change = self._filtered(scene, state, step, x - predicted, factor)
         errors = self._errors(scene, state, h, formula, x, p, change)
-        cause = judge(scene, state, solution, x, state.t + h, errors[1])
+        converged = begun.converged & ~begun.restores
+        cause = judge(scene, state, converged, begun.indefinite, x, state.t + h, errors[1])
         next_h, next_order = self._next(h, order, errors, cause)
         acceleration = jnp.where(state.stage == IMPLICIT, step.acceleration(mean_v), (v - state.v) / h)
+        kept = last_tangent(begun, state.kept) if self.inertia else state.kept
         return ImplicitAttempt(
-            x, v, p, acceleration, errors[1], cause, order, next_h, next_order,
-            solution.factor, solution.kept or state.kept, solution.iterations, solution.linear,
-            solution.factors, solution.restored,
+            x, v, p, acceleration, errors[1], cause, order, next_h, next_order, factor, kept,
+            begun.iterations, begun.linear, begun.factors, begun.restores,
         )  # fmt: skip
 
     def _newton_share(self, state: State) -> Scalar:
