@@ -165,7 +165,7 @@ def residual(scene: Scene, step: ImplicitStep, x: NodeVectors) -> tuple[NodeVect
     The formula eliminates v and p, so that x is Newton's only unknown. The plastic update of each hinge is
     solved to rounding instead of linearised. At the solution the system equals eqs. (47)-(49).
     """
-    value, p, _ = _condensed(scene, step, x)
+    value, p, _ = condensed(scene, step, x)
     return value, p
 
 
@@ -183,9 +183,10 @@ def _plastic_update(
     return implicit_update(scene.plasticity, curvature(theta), step.p_memory, step.beta_h)
 
 
-def _condensed(
+def condensed(
     scene: Scene, step: ImplicitStep, x: NodeVectors
 ) -> tuple[NodeVectors, HingeValues | None, HingeValues | None]:
+    """Compute what `residual` does, and the derivative (h,) of the new p by the curvature."""
     hinges = scene.bending.hinges(x)
     p, softening = _plastic_update(scene, step, hinges.theta)
     total = force_at_rest(scene, hinges, x, p, step.t)
@@ -206,7 +207,14 @@ def linearize(
     """Compute the residual (n, 3) and the values (size,) of its exact, symmetric tangent (eq. 51).
 
     The values are the entries of `scene.sparsity`."""
-    value, p, softening = _condensed(scene, step, x)
+    value, p, softening = condensed(scene, step, x)
+    return value, step_tangent(scene, step, x, p, softening)
+
+
+def step_tangent(
+    scene: Scene, step: ImplicitStep, x: NodeVectors, p: HingeValues | None, softening: HingeValues | None
+) -> Float[Array, " entries"]:
+    """Compute the values (size,) of the tangent, given the new p (h,) and its derivative by the curvature."""
     edge_blocks = scene.membrane.blocks(x)
     nodes = jnp.zeros((x.shape[0], 3, 3), x.dtype)
     if scene.damping is not None:
@@ -217,7 +225,7 @@ def linearize(
     if step.v_memory is not None:
         nodes = nodes + (step.inertia * scene.mass / step.beta_h**2)[:, None, None] * jnp.eye(3)
     hinge_blocks = scene.bending.blocks(x, scene.rest_curvature_of(p), softening)
-    return value, _assemble(scene, x, step.t, edge_blocks, hinge_blocks, nodes)
+    return _assemble(scene, x, step.t, edge_blocks, hinge_blocks, nodes)
 
 
 @door

@@ -34,11 +34,19 @@ from jaxcrumple.solvers.implicit.base import ImplicitAttempt, aligns
 from jaxcrumple.solvers.implicit.bdf import push
 from jaxcrumple.solvers.implicit.newton import must_restore
 from jaxcrumple.solvers.linear.base import Factor
-from jaxcrumple.solvers.log import STEP, Log, append, empty_log, follow
+from jaxcrumple.solvers.log import Log, empty_log, follow
 from jaxcrumple.solvers.outcome import counted, given_up, is_tiny, with_result
 from jaxcrumple.solvers.proposal import ProposedStep, propose
 from jaxcrumple.solvers.scheme import Integrator, checked_solver
-from jaxcrumple.solvers.stages import Handover, after_explicit, after_implicit, handed_over, row, stay
+from jaxcrumple.solvers.stages import (
+    Entry,
+    Handover,
+    after_explicit,
+    after_implicit,
+    logged,
+    no_entry,
+    stay,
+)
 from jaxcrumple.solvers.switch import observe
 from jaxcrumple.solvers.work import booked
 from jaxcrumple.state import EXPLICIT, RESULTS, State, check_state
@@ -72,6 +80,7 @@ class _Carry(NamedTuple):
     factor: Factor | None
     held: Flag
     trial: _Trial | None
+    entry: Entry
     handover: Handover
     spent: Count
     rounds: Count
@@ -118,7 +127,9 @@ def integrate(
     # Only an exact solver reuses a factor in later steps. It has none at the start of a call.
     held = jnp.asarray(solver.implicit is None or not solver.implicit.linear.exact)
     done = state.t >= t_stop
-    carry = _Carry(state, schedule, log, factor, held, trial, stay(state), nothing, nothing, left, done)
+    carry = _Carry(
+        state, schedule, log, factor, held, trial, no_entry(), stay(state), nothing, nothing, left, done
+    )
 
     def stages(carry: _Carry) -> _Carry:
         carry = _renewed(scene, carry._replace(rounds=carry.rounds + 1), solver)
@@ -126,11 +137,9 @@ def integrate(
             carry = _implicit_stages(scene, carry, t_stop, solver)
         if solver.has(EXPLICIT):
             carry = _explicit_stage(scene, carry, t_stop, solver)
-        if len(solver.stages) == 1:
-            return carry
-        now = listed(scene, carry.schedule)
-        state, log = handed_over(now, carry.state, carry.log, carry.handover)
-        return carry._replace(state=state, log=log, handover=stay(state))
+        now, several = listed(scene, carry.schedule), len(solver.stages) > 1
+        state, log = logged(now, carry.state, carry.log, carry.entry, carry.handover if several else None)
+        return carry._replace(state=state, log=log, entry=no_entry(), handover=stay(state))
 
     end = jax.lax.while_loop(_going, stages, carry)
     if solver.implicit is not None and end.factor is not None:
@@ -181,16 +190,20 @@ def _going(carry: _Carry) -> Flag:
 
 
 def _interrupted(carry: _Carry) -> Flag:
-    """Return whether a stage change, a limit measurement or a list rebuild must precede the next step."""
-    over = (carry.handover.stage != carry.state.stage) | _limit_is_due(carry)
+    """Return whether a stage change, an entry in the log, a limit measurement or a list rebuild must precede
+    the next step."""
+    over = (carry.handover.stage != carry.state.stage) | carry.entry.due | _limit_is_due(carry)
     return over if carry.schedule is None else over | carry.schedule.due
 
 
-def _tried(carry: _Carry, state: State, log: Log, handover: Handover, cost: int, done: Flag) -> _Carry:
+def _tried(
+    carry: _Carry, state: State, log: Log, entry: Entry, handover: Handover, cost: int, done: Flag
+) -> _Carry:
     """Return the loop variables after another attempt; `done`: whether it ended the call."""
     return carry._replace(
         state=state,
         log=log,
+        entry=entry,
         handover=handover,
         spent=carry.spent + cost,
         rounds=jnp.zeros_like(carry.rounds),
@@ -305,14 +318,14 @@ def _ended(scene: Scene, carry: _Carry, solver: Integrator) -> _Carry:
         moved,
         (suggested, tried.next_order, tried.kept, counters),
     )
-    log = append(carry.log, row(scene, moved, STEP, h, tried.order, tried.error), tried.accepted)
-    log = follow(log, moved.x, moved.t, h, state.stage, tried.order, tried.accepted)
+    entry = Entry(tried.accepted, h, tried.order, tried.error)
+    log = follow(carry.log, moved.x, moved.t, h, state.stage, tried.order, tried.accepted)
     handover = after_implicit(scene, moved, tried.accepted, tried.cause, solver, proposed.bounded)
     hopeless = ~tried.accepted & (handover.stage != EXPLICIT) & is_tiny(moved.h, moved.t)
     moved = given_up(moved, hopeless, tried.cause)
     over = carry.trial._replace(underway=jnp.asarray(False))
     carry = carry._replace(held=jnp.ones_like(carry.held), trial=over)
-    after = _tried(carry, moved, log, handover, IMPLICIT_COST, tried.accepted & proposed.lands)
+    after = _tried(carry, moved, log, entry, handover, IMPLICIT_COST, tried.accepted & proposed.lands)
     restored = carry._replace(schedule=rescheduled(state, carry.schedule))
     return after._replace(
         **{
@@ -420,12 +433,10 @@ def _explicit_attempt(
     moved = eqx.tree_at(lambda s: s.counters, moved, counters)
     moved = given_up(moved, ~tried.accepted & is_tiny(next_h, state.t), tried.cause)
     sampled = tried.accepted & (counters.steps[EXPLICIT] % EXPLICIT_LOG_EVERY == 0)
-    log = jax.lax.cond(
-        sampled, lambda: append(carry.log, row(scene, moved, STEP, h, order, tried.error)), lambda: carry.log
-    )
-    log = follow(log, moved.x, moved.t, h, state.stage, order, tried.accepted)
+    entry = Entry(sampled, h, jnp.asarray(order), tried.error)
+    log = follow(carry.log, moved.x, moved.t, h, state.stage, order, tried.accepted)
     handover = after_explicit(scene, moved, tried.accepted, cap, solver)
     if carry.schedule is not None:
         turn = jnp.where(tried.accepted, tried.turn, carry.schedule.turn)
         carry = carry._replace(schedule=carry.schedule._replace(turn=turn))
-    return _tried(carry, moved, log, handover, EXPLICIT_COST, tried.accepted & proposed.lands)
+    return _tried(carry, moved, log, entry, handover, EXPLICIT_COST, tried.accepted & proposed.lands)

@@ -10,11 +10,11 @@ from jaxcrumple._jax.arrays import Count, Flag, Scalar
 from jaxcrumple._jax.tree import select
 from jaxcrumple.history import NEVER, restart_history
 from jaxcrumple.scene import Scene
-from jaxcrumple.solvers.log import AFTER, BEFORE, Log, Row, append
+from jaxcrumple.solvers.log import AFTER, BEFORE, STEP, Log, Row, append
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.solvers.switch import has_settled, wants_inertia
 from jaxcrumple.state import CAUSES, EXPLICIT, IMPLICIT, QUASISTATIC, State, fresh_monitor, no_work
-from jaxcrumple.system import energies
+from jaxcrumple.system import Energies, energies
 
 # A rejected quasistatic step below this share of the explicit stability limit ends the stage: integrating the
 # motion is then cheaper. The share is below 1, because a start at low order may need a few such short steps.
@@ -82,23 +82,44 @@ def after_explicit(scene: Scene, state: State, accepted: Flag, cap: Scalar, solv
     return stay(state)
 
 
-def handed_over(scene: Scene, state: State, log: Log, handover: Handover) -> tuple[State, Log]:
-    """Change the stage of the state if `handover` asks for it, and log the states before and after."""
+class Entry(NamedTuple):
+    """Hold what the log tells of the last step: size `h` in s, `order` and `error`; `due`: whether it does."""
 
-    def change() -> tuple[State, Log]:
-        last = row(scene, state, BEFORE, handover.h, 0, 0.0)
+    due: Flag
+    h: Scalar
+    order: Count
+    error: Scalar
+
+
+def no_entry() -> Entry:
+    """Return an entry that is not due."""
+    return Entry(jnp.asarray(False), jnp.zeros(()), jnp.asarray(0), jnp.zeros(()))
+
+
+def logged(
+    scene: Scene, state: State, log: Log, entry: Entry, handover: Handover | None
+) -> tuple[State, Log]:
+    """Log the last step if its `entry` is due. Change the stage if `handover` asks for it, and log the states
+    before and after. None: the scheme has one stage."""
+
+    def written() -> tuple[State, Log]:
+        # Positions and velocities do not change, and so the energies of all rows are equal.
+        stored = energies(scene, state.x, state.v, state.p, state.t)
+        rows = append(log, _row(state, stored, STEP, entry.h, entry.order, entry.error), entry.due)
+        if handover is None:
+            return state, rows
         changed = _changed(state, handover)
-        # Positions and velocities do not change, and so the energies of both rows are equal.
-        monitor = changed.monitor
+        last = _row(state, stored, BEFORE, handover.h, 0, 0.0)
         first = last._replace(
             kind=AFTER,
             stage=changed.stage,
-            acceleration=monitor.ratios[0],
-            acceleration_mean=jnp.mean(monitor.ratios),
+            acceleration=changed.monitor.ratios[0],
+            acceleration_mean=jnp.mean(changed.monitor.ratios),
         )
-        return changed, append(append(log, last), first)
+        return select(changes, changed, state), append(append(rows, last, changes), first, changes)
 
-    return jax.lax.cond(handover.stage != state.stage, change, lambda: (state, log))
+    changes = jnp.asarray(False) if handover is None else handover.stage != state.stage
+    return jax.lax.cond(entry.due | changes, written, lambda: (state, log))
 
 
 def _changed(state: State, handover: Handover) -> State:
@@ -139,8 +160,10 @@ def _changed(state: State, handover: Handover) -> State:
     )
 
 
-def row(scene: Scene, state: State, kind: int, h: Scalar, order: Count | int, error: Scalar | float) -> Row:
-    """Return the log row of a state."""
+def _row(
+    state: State, stored: Energies, kind: int, h: Scalar, order: Count | int, error: Scalar | float
+) -> Row:
+    """Return the log row of a state with the energies `stored`."""
     monitor, count = state.monitor, state.counters
     return Row(
         kind=kind,
@@ -149,7 +172,7 @@ def row(scene: Scene, state: State, kind: int, h: Scalar, order: Count | int, er
         h=h,
         acceleration=monitor.ratios[0],
         acceleration_mean=jnp.mean(monitor.ratios),
-        energies=energies(scene, state.x, state.v, state.p, state.t),
+        energies=stored,
         order=order,
         error=error,
         newton_iterations=count.newton,

@@ -11,14 +11,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxcrumple._jax.arrays import Count, Flag, NodeVectors, Scalar
+from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeVectors, Scalar
 from jaxcrumple._jax.batched_cond import where_needed
 from jaxcrumple._jax.tree import select
 from jaxcrumple.contact.coverage import covers
 from jaxcrumple.history import NEVER, ImplicitStep, Linearization
 from jaxcrumple.scene import Scene
-from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
-from jaxcrumple.system import linearize, residual
+from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor, LinearSolution
+from jaxcrumple.system import condensed, step_tangent
 
 # An iteration with the tangent of an earlier step diverges if its update grows by more than this factor.
 DIVERGENCE = 2.0
@@ -41,6 +41,11 @@ STRETCH = 0.5
 # Inertia that an indefinite tangent receives, as a multiple of the step's own: SHIFT, then GROW times as much
 # as long as it is indefinite, up to MOST; then DECAY times as much in each iteration, until it is NEGLIGIBLE.
 SHIFT, GROW, DECAY, NEGLIGIBLE, MOST = 1.0, 4.0, 0.25, 0.1, 1e4
+
+
+# New rest curvature (h,) and its derivative by the curvature, and values (size,) of a tangent.
+_Plastic = list[HingeValues | None]
+_Values = Float[Array, " entries"]
 
 
 class NewtonIteration(NamedTuple):
@@ -126,43 +131,39 @@ def go_on(
     """
     widest = jnp.inf if scene.contact is None else STRETCH * scene.contact.range
 
-    def renewed(now: NewtonIteration, factor: Factor) -> Factor:
-        kept = now.kept
-        here, x = select(now.restores, (kept.step, kept.x), (step, now.x))
+    def values(now: NewtonIteration, here: ImplicitStep, x: NodeVectors, plastic: _Plastic) -> _Values:
         stiffer = eqx.tree_at(lambda s: s.beta_h, here, here.beta_h / jnp.sqrt(1.0 + now.shift))
-        return linear.factor(scene.sparsity, linearize(scene, stiffer, x)[1], factor)
+        return step_tangent(scene, stiffer, x, *plastic)
 
-    def tangent(now: NewtonIteration, factor: Factor) -> tuple[Float[Array, " entries"] | None, Factor]:
-        if linear.exact:
-            return None, jax.lax.cond(now.renew, renewed, lambda now, factor: factor, now, factor)
-        stiffer = eqx.tree_at(lambda s: s.beta_h, step, step.beta_h / jnp.sqrt(1.0 + now.shift))
-        _, values = linearize(scene, stiffer, now.x)
-        return values, where_needed(now.renew, linear.factor, factor, scene.sparsity, values, factor)
+    def tangent(
+        now: NewtonIteration, factor: Factor, here: ImplicitStep, x: NodeVectors, plastic: _Plastic
+    ) -> tuple[_Values | None, Factor]:
+        if not linear.exact:
+            own = values(now, here, x, plastic)
+            return own, where_needed(now.renew, linear.factor, factor, scene.sparsity, own, factor)
 
-    def forward(now: NewtonIteration, factor: Factor, value: NodeVectors) -> tuple[NewtonIteration, Factor]:
-        values, factor = tangent(now, factor)
-        taken = Linearization(step, now.x, jnp.zeros_like(now.kept.age))
-        kept = select(now.renew & ~now.restores, taken, now.kept)
-        solution = linear.solve(scene.sparsity, factor, values, -value.reshape(-1), FORCING)
-        relaxed = jnp.where(now.shift > 0, 1.0, _relaxation(step, kept))
-        change = relaxed * solution.x.reshape(now.x.shape)
-        return _taken(now, guess, step, kept, change, value, solution.indefinite, widest, tolerance)._replace(
-            linear=now.linear + solution.iterations,
-            factors=now.factors + now.renew,
-            partial=jnp.where(now.renew, ~_has_entries(scene), now.partial),
-        ), factor
+        def renewed(factor: Factor) -> Factor:
+            return linear.factor(scene.sparsity, values(now, here, x, plastic), factor)
+
+        return None, jax.lax.cond(now.renew, renewed, lambda factor: factor, factor)
 
     def body(carry: tuple[NewtonIteration, Factor]) -> tuple[NewtonIteration, Factor]:
         now, factor = carry
-        value, _ = residual(scene, step, now.x)
+        here, x = select(now.restores, (now.kept.step, now.kept.x), (step, now.x))
+        value, *plastic = condensed(scene, here, x)
         sound = jnp.all(jnp.isfinite(value))
         slope = jnp.vdot(value, now.change)
         too_far = (now.slope < 0) & (~sound | (slope > -OVERSHOOT * now.slope)) & (now.part > LEAST)
-        return jax.lax.cond(
-            too_far,
-            lambda now, factor, value: (_taken_back(now, sound, slope), factor),
-            forward, now, factor, value,
-        )  # fmt: skip
+
+        def forward(factor: Factor) -> tuple[NewtonIteration, Factor]:
+            own, factor = tangent(now, factor, here, x, plastic)
+            taken = Linearization(step, now.x, jnp.zeros_like(now.kept.age))
+            kept = select(now.renew & ~now.restores, taken, now.kept)
+            solution = linear.solve(scene.sparsity, factor, own, -value.reshape(-1), FORCING)
+            after = _taken(now, guess, step, kept, value, solution, widest, tolerance)
+            return after._replace(partial=jnp.where(now.renew, ~_has_entries(scene), now.partial)), factor
+
+        return jax.lax.cond(too_far, lambda factor: (_taken_back(now, sound, slope), factor), forward, factor)
 
     def unfinished(carry: tuple[NewtonIteration, Factor]) -> Flag:
         now, _ = carry
@@ -183,13 +184,17 @@ def _taken(
     guess: NodeVectors,
     step: ImplicitStep,
     kept: Linearization,
-    change: NodeVectors,
     value: NodeVectors,
-    indefinite: Flag,
+    solution: LinearSolution,
     widest: Scalar | float,
     tolerance: Scalar,
 ) -> NewtonIteration:
-    """Return the iteration after a `change` (n, 3) of the iterate, of at most `widest` in m."""
+    """Return the iteration after a change of the iterate by the `solution`, of at most `widest` in m.
+
+    `value` (n, 3) in N: residual before it; `kept`: where the tangent of the solution was computed."""
+    indefinite = solution.indefinite
+    relaxed = jnp.where(now.shift > 0, 1.0, _relaxation(step, kept))
+    change = relaxed * solution.x.reshape(now.x.shape)
     length = jnp.max(jnp.abs(change))
     cut = length > widest
     change = jnp.where(cut, widest / length, 1.0) * change
@@ -219,6 +224,8 @@ def _taken(
         part=jnp.ones_like(now.part),
         shift=shift,
         iterations=now.iterations + 1,
+        linear=now.linear + solution.iterations,
+        factors=now.factors + now.renew,
         converged=near & ~bad & ~again & (now.shift == 0),
         failed=failed,
         indefinite=failed & indefinite,

@@ -25,7 +25,7 @@ from jaxcrumple.solvers.implicit.bdf import damped_order, error_constant, extrap
 from jaxcrumple.solvers.implicit.newton import FORCING, NewtonIteration, begin, go_on, last_tangent
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
 from jaxcrumple.state import CAUSES, IMPLICIT, State
-from jaxcrumple.system import residual
+from jaxcrumple.system import updated_rest_curvature
 
 # The order changes only for a step longer by this factor.
 ORDER_GAIN = 1.1
@@ -112,7 +112,7 @@ class VariableOrder(AbstractImplicit):
         theta, step, order = formula.theta, formula.step, formula.orders.used
         predicted = _predicted(scene, state, h, order)
         mean_v = step.velocity(begun.x)
-        _, mean_p = residual(scene, step, begun.x)
+        mean_p = updated_rest_curvature(scene, step, begun.x)
         x, v = _whole(theta, begun.x, state.x), _whole(theta, mean_v, state.v)
         p = None if mean_p is None or state.p is None else _whole(theta, mean_p, state.p)
         change = self._filtered(scene, state, step, x - predicted, factor)
