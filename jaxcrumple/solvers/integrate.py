@@ -29,7 +29,6 @@ from jaxcrumple.solvers.contact.schedule import (
     with_active,
     without_matrix,
 )
-from jaxcrumple.solvers.explicit.base import with_slopes
 from jaxcrumple.solvers.implicit.base import ImplicitAttempt, aligns
 from jaxcrumple.solvers.implicit.bdf import push
 from jaxcrumple.solvers.implicit.newton import must_restore
@@ -367,8 +366,6 @@ def _explicit_stage(scene: Scene, carry: _Carry, t_stop: ScalarLike, solver: Int
     def body(carry: _Carry) -> _Carry:
         return _explicit_step(scene, carry, t_stop, solver)
 
-    now = listed(scene, carry.schedule)
-    carry = carry._replace(state=with_slopes(now, carry.state, _takes_explicit(carry)))
     return jax.lax.while_loop(_takes_explicit, body, carry)
 
 
@@ -414,7 +411,9 @@ def _explicit_attempt(
 ) -> _Carry:
     assert solver.explicit is not None
     scene, state, order = listed_active(scene, carry.schedule), carry.state, solver.explicit.order
-    h, wanted = proposed.h, proposed.wanted
+    # The first step of a spell lacks the slopes at its start. A step of length zero computes them.
+    known, wanted = state.slopes.known, proposed.wanted
+    h = jnp.where(known, proposed.h, 0.0)
     tried = solver.explicit.attempt(scene, state, h, cap)
     moved = eqx.tree_at(
         lambda s: (s.t, s.x, s.v, s.slopes, s.monitor),
@@ -439,4 +438,6 @@ def _explicit_attempt(
     if carry.schedule is not None:
         turn = jnp.where(tried.accepted, tried.turn, carry.schedule.turn)
         carry = carry._replace(schedule=carry.schedule._replace(turn=turn))
-    return _tried(carry, moved, log, entry, handover, EXPLICIT_COST, tried.accepted & proposed.lands)
+    after = _tried(carry, moved, log, entry, handover, EXPLICIT_COST, tried.accepted & proposed.lands)
+    started = eqx.tree_at(lambda s: s.slopes, state, tried.slopes)
+    return select(known, after, carry._replace(state=started, spent=carry.spent + EXPLICIT_COST))

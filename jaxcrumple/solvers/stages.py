@@ -83,7 +83,7 @@ def after_explicit(scene: Scene, state: State, accepted: Flag, cap: Scalar, solv
 
 
 class Entry(NamedTuple):
-    """Hold what the log tells of the last step: size `h` in s, `order` and `error`; `due`: whether it does."""
+    """Hold what the log tells of the last step: its size `h` in s, `order` and `error`, if it is `due`."""
 
     due: Flag
     h: Scalar

@@ -8,7 +8,6 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeVectors, Scalar
-from jaxcrumple._jax.batched_cond import where_needed
 from jaxcrumple._jax.tree import as_float
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.contact.schedule import passes, unlisted_turn
@@ -117,13 +116,6 @@ class AbstractExplicit(eqx.Module):
             t, t + h, y, y, unasked, units, self.error_order, memory
         )
         return jnp.asarray(keep), jnp.asarray(end - start)
-
-
-def with_slopes(scene: Scene, state: State, wanted: Flag | bool = True) -> State:
-    """Compute the slopes of the state if they are `wanted` and no step has computed them."""
-    due = wanted & ~state.slopes.known
-    slopes = where_needed(due, slopes_at, state.slopes, scene, state.x, state.v, state.p, state.t)
-    return eqx.tree_at(lambda s: s.slopes, state, slopes)
 
 
 def slopes_at(scene: Scene, x: NodeVectors, v: NodeVectors, p: HingeValues | None, t: Scalar) -> Slopes:
