@@ -10,7 +10,7 @@ import numpy as np
 from jaxcrumple.material.material import Material
 from jaxcrumple.scenes.radial import radial
 from jaxcrumple.simulation import frame_times, simulate
-from jaxcrumple.solvers.integrate import EXPLICIT_COST, IMPLICIT_COST
+from jaxcrumple.solvers.loop import EXPLICIT_COST, IMPLICIT_COST
 from jaxcrumple.solvers.scheme import integrator
 from jaxcrumple.state import initial_state
 

@@ -10,9 +10,10 @@ from jaxcrumple import simulation
 from jaxcrumple.material.material import Material
 from jaxcrumple.scenes.radial import radial
 from jaxcrumple.simulation import SimulationError, frame_times, simulate
-from jaxcrumple.solvers.integrate import LIMIT_EVERY, integrate
+from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.log import ENERGIES, empty_log
-from jaxcrumple.solvers.stages import Handover, after_explicit, handed_over
+from jaxcrumple.solvers.loop import LIMIT_EVERY
+from jaxcrumple.solvers.stages import Handover, after_explicit, logged, no_entry
 from jaxcrumple.state import EXPLICIT, IMPLICIT, QUASISTATIC, RESULTS, STAGES, initial_state
 
 # --- Stages --------------------------------------------------------------------------------------
@@ -223,14 +224,14 @@ def test_futile_tries_of_implicit_steps_become_rare():
     spells = []
     for steps in (3, 3, 3, 3, 3, 50, 3):
         state = eqx.tree_at(lambda s: s.monitor.steps, state, jnp.asarray(steps))
-        state, log = handed_over(scene, state, log, Handover(jnp.asarray(EXPLICIT), cap))
+        state, log = logged(scene, state, log, no_entry(), Handover(jnp.asarray(EXPLICIT), cap))
         spell = next(
             spell
             for spell in 100 * 2 ** np.arange(8)
             if int(after(eqx.tree_at(lambda s: s.monitor.since, state, 1.01 * spell * cap), cap)) == IMPLICIT
         )
         spells.append(int(spell))
-        state, log = handed_over(scene, state, log, Handover(jnp.asarray(IMPLICIT), 20.0 * cap))
+        state, log = logged(scene, state, log, no_entry(), Handover(jnp.asarray(IMPLICIT), 20.0 * cap))
     assert spells == [400, 800, 800, 800, 800, 200, 400]
 
 

@@ -16,8 +16,9 @@ from jaxcrumple.material.material import Material
 from jaxcrumple.scene import sheet
 from jaxcrumple.scenes.radial import radial
 from jaxcrumple.simulation import simulate
-from jaxcrumple.solvers.integrate import BUDGET, IMPLICIT_COST, integrate
+from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.linear.registry import direct_available
+from jaxcrumple.solvers.loop import BUDGET, IMPLICIT_COST
 from jaxcrumple.solvers.scheme import SCHEMES, integrator
 from jaxcrumple.solvers.switch import Switch
 from jaxcrumple.state import initial_state
