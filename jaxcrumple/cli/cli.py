@@ -85,19 +85,17 @@ def run(
     max_seconds: Limit = None,
 ) -> None:
     """Run a scene and write its trajectory, tables, checkpoint, summary and pictures to a folder."""
-    from jaxcrumple.io import RunDirectory
-    from jaxcrumple.run.config import pairs
-    from jaxcrumple.run.progress import ConsoleProgress
-    from jaxcrumple.run.run import check_resumable, flat, resume_run, start_run, stored_config
-    from jaxcrumple.scenes.functions import absolute
-
     folder, limit = out or Path("runs") / Path(scene.rpartition(":")[2]).stem, _seconds(max_seconds)
     given = {"nodes": nodes, "t_end": t_end, "seed": seed}
     asked: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
-    if resume and not asked and not settings and not _is_file(scene):
-        config = stored_config(RunDirectory.open(folder)).model_copy(update={"scene": absolute(scene)})
-    else:
-        config = _asked(scene, settings, asked)
+    stored = resume and not asked and not settings and not _is_file(scene)
+    config = _stored(folder, scene) if stored else _asked(scene, settings, asked)
+
+    # After the refusals, because they take seconds.
+    from jaxcrumple.run.config import pairs
+    from jaxcrumple.run.progress import ConsoleProgress
+    from jaxcrumple.run.run import check_resumable, flat, resume_run, start_run
+
     if resume:
         named = [*asked, *(key for key, _ in pairs(settings or ()))]
         check_resumable(config, flat(config) if _is_file(scene) else named, folder)
@@ -114,6 +112,15 @@ def run(
     if summary["result"] == "budget":
         say(f"go on with: {go_on}")
     _all_must_succeed(summary["result"] == "success")
+
+
+def _stored(folder: Path, scene: str) -> "RunConfig":
+    """Return the configuration of the run in a folder, of this `scene`."""
+    from jaxcrumple.io import RunDirectory
+    from jaxcrumple.run.run import stored_config
+    from jaxcrumple.scenes.functions import absolute
+
+    return stored_config(RunDirectory.open(folder)).model_copy(update={"scene": absolute(scene)})
 
 
 def _seconds(limit: str | None) -> float | None:
@@ -165,10 +172,11 @@ def check(
 
     This compiles only the forces at the start, not the run.
     """
-    from jaxcrumple.run.check import check_built, described
-
     given = {"nodes": nodes, "t_end": t_end, "seed": seed}
     config = _asked(scene, settings, {key: value for key, value in given.items() if value is not None})
+
+    from jaxcrumple.run.check import check_built, described
+
     for line in described(config):
         say(line)
     balance = check_built(config)
@@ -187,11 +195,13 @@ def _is_file(scene: str) -> bool:
 
 def _asked(scene: str, settings: list[str] | None, top: dict[str, Any]) -> "RunConfig":
     """Configure a scene or a scene file with the options of the command."""
-    from jaxcrumple.run.config import configure
-    from jaxcrumple.run.scene_file import read_scene_file
+    if _is_file(scene):
+        from jaxcrumple.run.scene_file import read_scene_file
 
-    make = read_scene_file if _is_file(scene) else configure
-    return make(scene, settings=settings or (), **top)
+        return read_scene_file(scene, settings=settings or (), **top)
+    from jaxcrumple.run.config import configure
+
+    return configure(scene, settings=settings or (), **top)
 
 
 app.add_typer(calibrations, name="calibrate")

@@ -16,12 +16,12 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
-import jax
 import typer
 from rich.console import Console
 
+from jaxcrumple._jax.settings import configure_jax, enable_compilation_cache
 from jaxcrumple.options.suggest import one_line
-from jaxcrumple.sweeps.cluster import WorkersLostError
+from jaxcrumple.sweeps.errors import WorkersLostError
 
 console = Console()
 
@@ -87,7 +87,7 @@ def check_place(path: Path, option: str) -> None:
 
 def run_program(app: Callable[[], Any]) -> NoReturn:
     """Call a Typer program, print the cause of its end, and exit."""
-    jax.config.update("jax_enable_x64", True)
+    configure_jax("jax_enable_x64", True)
     with _stoppable(), _guarded_output(), warnings.catch_warnings():
         warnings.showwarning = _shown_once()
         try:
@@ -111,19 +111,16 @@ def _shown_once() -> Callable[..., None]:
 
 
 def keep_programs() -> None:
-    """Enable the persistent compilation cache, unless the user configured it or no folder is writable."""
+    """Enable the persistent compilation cache, unless no folder is writable."""
     # An unusable cache only costs time.
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache")
-    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
-        return
     try:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        place = base.absolute() / "jaxcrumple" / "xla"
-        place.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=place):
-            jax.config.update("jax_compilation_cache_dir", str(place))
-    except (OSError, RuntimeError) as error:
-        _complain(f"note: no compiled programs are kept, so each start compiles again: {error}", style=None)
+        enable_compilation_cache()
+    except ValueError as error:
+        _complain(
+            f"note: no compiled programs are kept, so each start compiles again: {error.__cause__}",
+            style=None,
+        )
 
 
 def _called(app: Callable[[], Any]) -> int:
@@ -161,8 +158,6 @@ def explained(error: BaseException) -> tuple[str, int]:
             return f"error: standard output cannot be written: {error}", ENDED
         case MemoryError():
             return f"error: not enough memory{_more(error)}; {LESS}", ENDED
-        case jax.errors.JaxRuntimeError() if "RESOURCE_EXHAUSTED" in str(error):
-            return f"error: not enough memory on {jax.devices()[0].platform}{_more(error)}; {LESS}", ENDED
         case WorkersLostError():
             return f"error: {error}", ENDED
         case UnicodeError():
@@ -177,8 +172,13 @@ def explained(error: BaseException) -> tuple[str, int]:
             return f"error: {_file(error)}{error.strerror}; {_cure(error)}", REFUSED
         case ValueError() if _is_ours(error):
             return f"error: {error}", REFUSED
+    # Everything above explains errors before JAX is imported.
+    import jax
+
     if trouble := _backend_trouble():
         return f"error: JAX has no device to run on ({trouble}); unset JAX_PLATFORMS", REFUSED
+    if isinstance(error, jax.errors.JaxRuntimeError) and "RESOURCE_EXHAUSTED" in str(error):
+        return f"error: not enough memory on {jax.devices()[0].platform}{_more(error)}; {LESS}", ENDED
     return (
         f"error: this is a bug of jaxcrumple, or of a library that it uses: {type(error).__name__}: {error}. "
         f"Please report it with the lines above, the command, and the versions: {_versions()}",
@@ -188,6 +188,8 @@ def explained(error: BaseException) -> tuple[str, int]:
 
 def _backend_trouble() -> str:
     """Return why JAX has no device, e.g. JAX_PLATFORMS names a missing platform; empty if it has one."""
+    import jax
+
     try:
         jax.devices()
     except (RuntimeError, AssertionError) as error:

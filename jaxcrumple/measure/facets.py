@@ -18,7 +18,6 @@ from jaxtyping import Bool, Float, Int
 from scipy.ndimage import distance_transform_edt, label
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.stats import mode
 
 from jaxcrumple._jax.arrays import HingeValuesLike
 from jaxcrumple.measure.creases import DAMAGE, damaged, plastic_curvature
@@ -119,6 +118,8 @@ def _regions(
     tops, _ = label(ski.morphology.h_maxima(distance, 0.5 * width))
     image = ski.segmentation.watershed(np.where(ridge > 0, ridge, -distance), tops, mask=inside)
     image = ski.segmentation.expand_labels(image, distance=2)  # covers pixels cut by the boundary
+    from scipy.stats import mode  # a second, and only facets need it
+
     return mode(raster.on_faces(mesh, image), axis=1).mode
 
 

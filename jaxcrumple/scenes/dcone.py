@@ -10,7 +10,6 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import least_squares
 
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float
@@ -85,6 +84,8 @@ def free_sector(setup: Setup, x: Float[np.ndarray, "nodes 3"], t: float) -> floa
 
 def _end(angle: Float[np.ndarray, " points"], lifted: Float[np.ndarray, " points"]) -> float:
     """Return the angle in rad at which one side of the sector ends."""
+    from scipy.optimize import least_squares  # half a second, and no run needs it
+
     used = (angle > 0) & (lifted < 0.3 * lifted.max())
 
     def misfit(guess: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " used"]:

@@ -13,6 +13,8 @@ import jax
 from distributed import Client, Future, Scheduler, SpecCluster, WorkerPlugin, wait
 from distributed.deploy.subprocess import SubprocessWorker
 
+from jaxcrumple.sweeps.errors import WorkersLostError
+
 # A Dask cluster, a Dask client, the address of a scheduler, or None for workers on this machine.
 Cluster = Any
 # The future returns the exception of a job, so the worker need not log it.
@@ -35,10 +37,6 @@ SCHEDULER_LOST = (
     "the scheduler of the worker processes is gone: it was ended, or the connection was lost. Start again; "
     "what campaigns saved is kept."
 )
-
-
-class WorkersLostError(RuntimeError):
-    """Worker processes or their scheduler are lost for good, or cannot run this program."""
 
 
 class OneCore(WorkerPlugin):

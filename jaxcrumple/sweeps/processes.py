@@ -12,7 +12,8 @@ from jaxcrumple.simulation import simulate
 from jaxcrumple.solvers.start import check_start
 from jaxcrumple.state import State, initial_state
 from jaxcrumple.sweeps.cases import Case, Limits, blamed
-from jaxcrumple.sweeps.cluster import Cluster, WorkersLostError, connected, run_all
+from jaxcrumple.sweeps.cluster import Cluster, connected, run_all
+from jaxcrumple.sweeps.errors import WorkersLostError
 from jaxcrumple.sweeps.table import Frames, Measure, Outcome, Tell, broken
 
 

@@ -18,7 +18,7 @@ import jaxcrumple as jc
 from jaxcrumple.cli import cli, console
 from jaxcrumple.cli.console import OutputLostError, Stopped, noted, run_program, say
 from jaxcrumple.run.config import configure
-from jaxcrumple.sweeps.cluster import WorkersLostError
+from jaxcrumple.sweeps.errors import WorkersLostError
 
 PACKAGE = Path(jc.__file__).parent
 ENTRY = PACKAGE / "cli" / "entry.py"

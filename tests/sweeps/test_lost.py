@@ -11,7 +11,7 @@ import pytest
 
 import jaxcrumple as jc
 from jaxcrumple.sweeps import cases, cluster, processes
-from jaxcrumple.sweeps.cluster import WorkersLostError
+from jaxcrumple.sweeps.errors import WorkersLostError
 from jaxcrumple.sweeps.table import Outcome
 
 # The package has a function of this name too.
