@@ -14,7 +14,7 @@ from jaxtyping import ArrayLike, Float, Real
 from jaxcrumple._jax.arrays import Scalar, ScalarLike
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.memory import require, require_run
-from jaxcrumple._jax.program_cache import make_room
+from jaxcrumple._jax.program_cache import give_back, make_room
 from jaxcrumple._jax.threads import limited_blas
 from jaxcrumple._jax.tree import as_float, is_number, require_limit
 from jaxcrumple.model.loads import check_motion
@@ -35,6 +35,8 @@ CHUNK = 1.0
 CALL, SHORTEST = 8.0, 32.0
 # Most steps in a call of a recorded run: the loop copies their positions with its other variables.
 TRAIL = 256
+# A first call that takes longer than this, in s, has compiled, and leaves much free memory.
+COMPILED = 1.0
 # Most consecutive calls that wait for a larger list and make no attempt: more than the lists can double.
 MOST_WAITS = 100
 _integrate = eqx.filter_jit(integrate)
@@ -261,7 +263,10 @@ def _compile(scene: Scene, state: State, solver: Integrator, recorder: StepRecor
     make_room(scene, state, solver, recorder is None)
     start = time.perf_counter()
     jax.block_until_ready(_called(scene, state, state.t, solver, as_float(0.0), recorder))
-    return time.perf_counter() - start
+    took = time.perf_counter() - start
+    if took > COMPILED:
+        give_back()
+    return took
 
 
 def _called(

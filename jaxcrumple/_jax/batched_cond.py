@@ -46,3 +46,12 @@ def where_needed(needed: Flag, make: Callable[..., Any], old: Any, *args: Any) -
         return found, jax.tree.map(lambda _: True, found)
 
     return eqx.combine(chosen(needed, arrays), eqx.filter(old, eqx.is_array, inverse=True))
+
+
+def once(needed: Flag, make: Callable[[Any], Any], old: Any) -> Any:
+    """Return `make(old)` if `needed`, else `old`, a tree of arrays, which XLA then keeps in its place.
+
+    `jax.lax.cond` copies it in each branch. Not for `vmap`, under which all lanes are computed."""
+    return jax.lax.while_loop(
+        lambda carry: carry[0], lambda carry: (jnp.zeros_like(needed), make(carry[1])), (needed, old)
+    )[1]

@@ -66,7 +66,7 @@ def make_room(*arguments: Any, share: float = SHARE) -> bool:
         eqx.clear_caches()
         jax.clear_caches()
         gc.collect()
-        _give_back()
+        give_back()
         _memory.forgotten()
     _memory.compiled.add(program)
     return crowded
@@ -92,8 +92,8 @@ def _out_of_mappings(share: float) -> bool:
     return used >= share * int(LIMIT.read_text())
 
 
-def _give_back() -> None:
-    """Return free memory to the system; the C library otherwise keeps half of what programs took."""
+def give_back() -> None:
+    """Return free memory to the system; the C library otherwise keeps half of what compiling took."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
         trim(0)

@@ -9,7 +9,7 @@ from jaxcrumple.run.config import RunConfig, complete
 from jaxcrumple.run.scene_file import plain
 from jaxcrumple.scenes.catalogue import SCENES
 
-CONTACT = {"contact": ["penalty", "barrier", "none"], "damping": ["central", "paper"]}
+CONTACT = {"contact": ["penalty", "barrier", "inverse-power", "none"], "damping": ["central", "paper"]}
 LENGTHS = {
     "radial": {"size": 0.1, "radius": 0.08, "imperfection": 2e-5},
     "arch": {"length": 0.03, "width": 0.006, "rise": 0.002},

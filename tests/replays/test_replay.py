@@ -69,7 +69,7 @@ def pressed():
 
 def confined():
     """A phantom sheet in a shrinking sphere: scene and positions."""
-    setup = jc.radial(40, seed=2, sweeps=20, contact=None)
+    setup = jc.radial(40, seed=5, sweeps=5, contact=None)
     return setup.scene, setup.x
 
 

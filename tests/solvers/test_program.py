@@ -96,7 +96,7 @@ def test_absent_stages_leave_no_operation():
     inertia, pair, explicit = (
         ("two_step",),
         ("implicit/bdf_pair.py",),
-        ("explicit/base.py", "_explicit_stage"),
+        ("explicit/stage.py", "explicit_steps"),
     )
     absent = {
         "hybrid": pair,

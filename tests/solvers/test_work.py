@@ -75,7 +75,9 @@ def test_energy_without_a_cause_is_numerical(rho):
     work, gained, _ = ledger(scene, mesh.vertices, 0.02, v, **options)
     # The midpoint rule, whose rho is 1, conserves energy.
     assert abs(gained) < 1e-10 if rho == 1.0 else abs(gained) > 1e-10
-    assert gained == pytest.approx(work["numerical"], rel=1e-2)
+    # What is missing is the remaining error of Newton's method, over 600 steps.
+    kinetic = 0.5 * np.asarray(scene.mass) @ np.sum(v**2, axis=1)
+    assert gained == pytest.approx(work["numerical"], rel=1e-2, abs=1e-5 * kinetic)
     assert all(work[name] == 0.0 for name in ("walls", "drag", "damping", "plastic"))
 
 

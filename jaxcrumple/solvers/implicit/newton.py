@@ -12,19 +12,20 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeVectors, Scalar
-from jaxcrumple._jax.batched_cond import where_needed
+from jaxcrumple._jax.batched_cond import once, where_needed
 from jaxcrumple._jax.tree import select
 from jaxcrumple.contact.coverage import covers
 from jaxcrumple.history import NEVER, ImplicitStep, Linearization
 from jaxcrumple.scene import Scene
+from jaxcrumple.solvers.implicit.secants import Secants
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor, LinearSolution
 from jaxcrumple.system import condensed, step_tangent
 
 # An iteration with the tangent of an earlier step diverges if its update grows by more than this factor.
 DIVERGENCE = 2.0
-# Refactorise if PATIENCE more iterations with the lagged tangent would not converge; a factorisation costs
-# about that many.
-PATIENCE = 4
+# Refactorise if PATIENCE more iterations with the lagged tangent would not converge; tangent and factorisation
+# cost about that many (n = 1000 in contact: 24 ms for 2.5 ms).
+PATIENCE = 8
 # Steps with inertia use a lagged tangent for MOST_STEPS steps at most, and while the ratio of the beta h of
 # both steps lies between RATIO and 1/RATIO.
 MOST_STEPS, RATIO = 20, 0.6
@@ -55,10 +56,11 @@ class NewtonIteration(NamedTuple):
     iteration computes its own; `change` (n, 3) and `update` in m: direction of the last change and its size,
     infinite before the first; `slope` in J: residual along the direction before the change, 0 if it is not to
     be taken back; `part`: how much of it was taken; `shift`: inertia in the tangent as a multiple of the
-    step's; `partial`: whether the tangent lacks pairs without entries in the matrix; `iterations`; `linear`:
-    iterations of the linear solver; `factors`: number of factorisations; `converged`, `failed`; `indefinite`:
-    whether it failed for a tangent with a negative eigenvalue, so that the equilibrium is unstable;
-    `restores`: whether it only recomputes a missing factor.
+    step's; `start` (n, 3) in m and `value` (n, 3) in N: iterate before the last change, and its residual;
+    `secants`: corrections of the factor by the changes since; `partial`: whether the tangent lacks pairs
+    without entries in the matrix; `iterations`; `linear`: iterations of the linear solver; `factors`: number
+    of factorisations; `converged`, `failed`; `indefinite`: whether it failed for a tangent with a negative
+    eigenvalue, so that the equilibrium is unstable; `restores`: whether it only recomputes a missing factor.
     """
 
     x: NodeVectors
@@ -69,6 +71,9 @@ class NewtonIteration(NamedTuple):
     slope: Scalar
     part: Scalar
     shift: Scalar
+    start: NodeVectors
+    value: NodeVectors
+    secants: Secants
     partial: Flag
     iterations: Count
     linear: Count
@@ -103,9 +108,10 @@ def begin(
     usable = _usable(step, old) if linear.exact and kept is not None else jnp.asarray(False)
     first = eqx.tree_at(lambda k: k.age, old, jnp.where(usable, old.age + 1, NEVER))
     zero, no, nought = jnp.asarray(0), jnp.asarray(False), jnp.zeros(())
+    rest = jnp.zeros_like(guess)
     return NewtonIteration(
-        guess, first, ~usable | restores, jnp.zeros_like(guess), jnp.asarray(jnp.inf), nought,
-        jnp.ones(()), nought, no, zero, zero, zero, no, no, no, restores,
+        guess, first, ~usable | restores, rest, jnp.asarray(jnp.inf), nought, jnp.ones(()), nought,
+        guess, rest, Secants.none(len(guess)), no, zero, zero, zero, no, no, no, restores,
     )  # fmt: skip
 
 
@@ -136,16 +142,22 @@ def go_on(
         return step_tangent(scene, stiffer, x, *plastic)
 
     def tangent(
-        now: NewtonIteration, factor: Factor, here: ImplicitStep, x: NodeVectors, plastic: _Plastic
-    ) -> tuple[_Values | None, Factor]:
+        now: NewtonIteration,
+        factor: Factor,
+        renew: Flag,
+        here: ImplicitStep,
+        x: NodeVectors,
+        plastic: _Plastic,
+    ) -> tuple[_Values | None, Factor, Flag]:
         if not linear.exact:
             own = values(now, here, x, plastic)
-            return own, where_needed(now.renew, linear.factor, factor, scene.sparsity, own, factor)
+            return own, where_needed(renew, linear.factor, factor, scene.sparsity, own, factor), now.partial
 
-        def renewed(factor: Factor) -> Factor:
-            return linear.factor(scene.sparsity, values(now, here, x, plastic), factor)
+        def renewed(kept: tuple[Factor, Flag]) -> tuple[Factor, Flag]:
+            own = values(now, here, x, plastic)
+            return linear.factor(scene.sparsity, own, kept[0]), ~_has_entries(scene)
 
-        return None, jax.lax.cond(now.renew, renewed, lambda factor: factor, factor)
+        return None, *once(renew, renewed, (factor, now.partial))
 
     def body(carry: tuple[NewtonIteration, Factor]) -> tuple[NewtonIteration, Factor]:
         now, factor = carry
@@ -154,16 +166,18 @@ def go_on(
         sound = jnp.all(jnp.isfinite(value))
         slope = jnp.vdot(value, now.change)
         too_far = (now.slope < 0) & (~sound | (slope > -OVERSHOOT * now.slope)) & (now.part > LEAST)
+        own, factor, partial = tangent(now, factor, now.renew & ~too_far, here, x, plastic)
 
-        def forward(factor: Factor) -> tuple[NewtonIteration, Factor]:
-            own, factor = tangent(now, factor, here, x, plastic)
+        def forward() -> NewtonIteration:
             taken = Linearization(step, now.x, jnp.zeros_like(now.kept.age))
             kept = select(now.renew & ~now.restores, taken, now.kept)
-            solution = linear.solve(scene.sparsity, factor, own, -value.reshape(-1), FORCING)
+            known = now.secants.including(now.x - now.start, value - now.value, jnp.isfinite(now.update))
+            secants = select(now.renew, Secants.none(len(value)), known) if linear.exact else now.secants
+            solution = _solved(scene, linear, factor, own, value, secants)
             after = _taken(now, guess, step, kept, value, solution, widest, tolerance)
-            return after._replace(partial=jnp.where(now.renew, ~_has_entries(scene), now.partial)), factor
+            return after._replace(start=now.x, value=value, secants=secants, partial=partial)
 
-        return jax.lax.cond(too_far, lambda factor: (_taken_back(now, sound, slope), factor), forward, factor)
+        return jax.lax.cond(too_far, lambda: _taken_back(now, sound, slope), forward), factor
 
     def unfinished(carry: tuple[NewtonIteration, Factor]) -> Flag:
         now, _ = carry
@@ -177,6 +191,25 @@ def covered(scene: Scene, iteration: NewtonIteration) -> Flag:
     if scene.contact is None:
         return jnp.asarray(True)
     return iteration.restores | covers(scene.own_lists, iteration.x)
+
+
+def _solved(
+    scene: Scene,
+    linear: AbstractLinearSolver,
+    factor: Factor,
+    own: _Values | None,
+    value: NodeVectors,
+    secants: Secants,
+) -> LinearSolution:
+    """Solve for the change that cancels the residual `value` (n, 3) in N, by the factor and the `secants`, or
+    by an iterative solver with its own tangent."""
+    if not linear.exact:
+        return linear.solve(scene.sparsity, factor, own, -value.reshape(-1), FORCING)
+    x = secants.applied(
+        lambda force: linear.solve(scene.sparsity, factor, None, force.reshape(-1), FORCING).x.reshape(-1, 3),
+        -value,
+    )
+    return LinearSolution(x.reshape(-1), jnp.asarray(1), factor.negative > 0)
 
 
 def _taken(
