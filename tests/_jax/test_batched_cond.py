@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxcrumple._jax.batched_cond import where_needed
+from jaxcrumple._jax.batched_cond import once, where_needed
 
 
 @pytest.fixture
@@ -53,3 +53,13 @@ def test_derivatives_pass_through_outside_of_a_batch():
 
     for a, slope in ((3.0, 6.0), (-3.0, -1.0)):
         assert float(jax.jvp(function, (a,), (1.0,))[1]) == slope
+
+
+@pytest.mark.parametrize("needed", [False, True])
+def test_what_is_made_once_is_made_only_if_needed(counted, needed):
+    make, calls = counted
+    found = jax.jit(lambda needed, old: once(needed, lambda old: make(old["sum"], 1.0), old))
+    old = {"sum": jnp.arange(3.0)}
+    np.testing.assert_array_equal(found(needed, old)["sum"], old["sum"] + needed)
+    jax.effects_barrier()
+    assert len(calls) == needed

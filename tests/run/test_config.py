@@ -29,7 +29,7 @@ REFUSED = [
     ({"settings": ["thickness"]}, "'thickness' must read key=value, e.g. thickness=1e-4"),
     ({"settings": ["=3"]}, "'=3' must read key=value"),
     ({"settings": [""]}, "'' must read key=value"),
-    ({"settings": ["contact=soft"]}, "contact = 'soft': .*'penalty', 'barrier' or 'inverse-power', or none\\.$"),
+    ({"settings": ["contact=soft"]}, "contact = 'soft': .*'barrier' or 'inverse-power', or none\\.$"),
     ({"settings": ["thickness=thin"]}, "thickness = 'thin': Input should be a valid number"),
     ({"settings": ["thickness=none"]}, "thickness = None: Input should be a valid number"),
     ({"settings": ["thickness=-1e-4"]}, r"thickness = -0.0001 \[m\] is not usable; give a finite number > 0"),

@@ -23,8 +23,8 @@ from jaxcrumple.system import condensed, step_tangent
 
 # An iteration with the tangent of an earlier step diverges if its update grows by more than this factor.
 DIVERGENCE = 2.0
-# Refactorise if PATIENCE more iterations with the lagged tangent would not converge; tangent and factorisation
-# cost about that many (n = 1000 in contact: 24 ms for 2.5 ms).
+# Refactorise if PATIENCE more iterations with the lagged tangent would not converge. A tangent and its factor
+# take about as long as that many (n = 1000 in contact: 24 ms for 2.5 ms).
 PATIENCE = 8
 # Steps with inertia use a lagged tangent for MOST_STEPS steps at most, and while the ratio of the beta h of
 # both steps lies between RATIO and 1/RATIO.
