@@ -20,7 +20,7 @@ from jaxcrumple._jax.arrays import (
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float, require_shape
 from jaxcrumple.contact import energy as contact_energy
-from jaxcrumple.geometry.hinge import Hinge, curvature
+from jaxcrumple.geometry.hinge import Hinge
 from jaxcrumple.history import ImplicitStep
 from jaxcrumple.model.plasticity import implicit_update
 from jaxcrumple.scene import Scene, require_scene
@@ -156,7 +156,7 @@ def _force_and_rate(
         total = total + scene.damping.force(x, v)
     if scene.plasticity is None or p is None:
         return total, None
-    return total, scene.plasticity.rate(curvature(hinges.theta), p)
+    return total, scene.plasticity.rate(hinges.curvature, p)
 
 
 def residual(scene: Scene, step: ImplicitStep, x: NodeVectors) -> tuple[NodeVectors, HingeValues | None]:
@@ -171,16 +171,16 @@ def residual(scene: Scene, step: ImplicitStep, x: NodeVectors) -> tuple[NodeVect
 
 def updated_rest_curvature(scene: Scene, step: ImplicitStep, x: NodeVectors) -> HingeValues | None:
     """Compute the new p (h,) of an implicit step that ends at positions `x` (n, 3), as in `residual`."""
-    return _plastic_update(scene, step, scene.bending.hinges(x).theta)[0]
+    return _plastic_update(scene, step, scene.bending.hinges(x).curvature)[0]
 
 
 def _plastic_update(
-    scene: Scene, step: ImplicitStep, theta: HingeValues
+    scene: Scene, step: ImplicitStep, c: HingeValues
 ) -> tuple[HingeValues | None, HingeValues | None]:
-    """Return the new p (h,) and its derivative with respect to the curvature; None without plastic flow."""
+    """Return the new p (h,) and its derivative by the curvature `c` (h,); None without plastic flow."""
     if scene.plasticity is None or step.p_memory is None:
         return None, None
-    return implicit_update(scene.plasticity, curvature(theta), step.p_memory, step.beta_h)
+    return implicit_update(scene.plasticity, c, step.p_memory, step.beta_h)
 
 
 def condensed(
@@ -188,7 +188,7 @@ def condensed(
 ) -> tuple[NodeVectors, HingeValues | None, HingeValues | None]:
     """Compute what `residual` does, and the derivative (h,) of the new p by the curvature."""
     hinges = scene.bending.hinges(x)
-    p, softening = _plastic_update(scene, step, hinges.theta)
+    p, softening = _plastic_update(scene, step, hinges.curvature)
     total = force_at_rest(scene, hinges, x, p, step.t)
     v = step.velocity(x)
     if scene.drag is not None:

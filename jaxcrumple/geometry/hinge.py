@@ -8,7 +8,9 @@ Hinge convention (Fig. 3a, A.12-A.16): $e_0 = x_1 - x_0$ is the shared edge, $e_
 $e_2 = x_3 - x_0$, $n_1 = e_0 \\times e_1$, $n_2 = -e_0 \\times e_2$. The signed angle is
 $\\theta = \\mathrm{atan2}((n_1 \\times n_2) \\cdot \\hat e_0,\\; n_1 \\cdot n_2)$ and the dimensionless
 curvature $c = 2 \\sin(\\theta/2)$: equal to eq. (33) to rounding, but smooth through flat, where
-(33) is 0/0.
+(33) is 0/0. It follows from the normals by square roots, which a processor computes for several hinges at
+once, unlike sines: $c = s \\sqrt{2 / (r (r + n_1 \\cdot n_2))}$ with $s = (n_1 \\times n_2) \\cdot \\hat e_0$
+and $r = |n_1| |n_2|$.
 """
 
 from typing import NamedTuple
@@ -19,6 +21,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Real
 
 from jaxcrumple._jax.arrays import NodeVectors, Scalar
+
+EPSILON = float(np.finfo(np.float64).eps)
 
 Vec = tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]
 
@@ -89,6 +93,9 @@ class Hinge(NamedTuple):
     n2: Vec
     edge_length: Float[Array, "..."]
     theta: Float[Array, "..."]
+    # c = 2 sin(theta / 2), and its derivative cos(theta / 2).
+    curvature: Float[Array, "..."]
+    slope: Float[Array, "..."]
 
 
 def hinge(x0: Vec, x1: Vec, x2: Vec, x3: Vec) -> Hinge:
@@ -97,8 +104,12 @@ def hinge(x0: Vec, x1: Vec, x2: Vec, x3: Vec) -> Hinge:
     n1, n2 = cross(e0, e1), cross(e2, e0)
     edge_length = length(e0)
     # (n1 x n2).e0_hat = -|e0| (n2.e1): one product instead of a cross product (eq. 30).
-    sine = -edge_length * dot(n2, e1)
-    return Hinge(e0, e1, e2, n1, n2, edge_length, jnp.arctan2(sine, dot(n1, n2)))
+    sine, cosine = -edge_length * dot(n2, e1), dot(n1, n2)
+    size = jnp.sqrt(sine * sine + cosine * cosine)
+    # At 180 degrees the sum is zero up to rounding, of either sign.
+    above = jnp.maximum(size + cosine, EPSILON * size)
+    bent, slope = sine * jnp.sqrt(2.0 / (size * above)), jnp.sqrt(0.5 * above / size)
+    return Hinge(e0, e1, e2, n1, n2, edge_length, jnp.arctan2(sine, cosine), bent, slope)
 
 
 def hinge_angle(x0: Vec, x1: Vec, x2: Vec, x3: Vec) -> Float[Array, "..."]:

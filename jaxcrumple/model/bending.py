@@ -79,7 +79,7 @@ class Bending(eqx.Module):
 
     def force(self, hinges: Hinge, p: HingeValues, n: int) -> NodeVectors:
         """Nodal forces (n, 3) in N from the hinges' geometry; minus the gradient of `energy`."""
-        torque, _ = self._derivatives(hinges.theta, p, 0.0)
+        torque, _ = self._derivatives(hinges, p, 0.0)
         gradient = hinge_gradient(hinges, -torque)
         return scatter(self.nodes, (gradient.g0, gradient.g1, gradient.g2, gradient.g3), n)
 
@@ -92,15 +92,15 @@ class Bending(eqx.Module):
         It lowers the stiffness along the gradient of c. Give None for an elastic sheet.
         """
         hinges = self.hinges(x)
-        first, second = self._derivatives(hinges.theta, p, 0.0 if softening is None else softening)
+        first, second = self._derivatives(hinges, p, 0.0 if softening is None else softening)
         return hinge_hessian(hinges, first, second)
 
     def _derivatives(
-        self, theta: HingeValues, p: HingeValues, softening: HingeValues | float
+        self, hinges: Hinge, p: HingeValues, softening: HingeValues | float
     ) -> tuple[HingeValues, HingeValues]:
         """First and second derivative of the energies with respect to the angle, with dp/dc = `softening`."""
-        stop1, stop2 = stop_derivatives(theta)
-        c, slope = curvature(theta), jnp.cos(0.5 * theta)
+        stop1, stop2 = stop_derivatives(hinges.theta)
+        c, slope = hinges.curvature, hinges.slope
         first = (c - p) * slope + stop1
         second = (1.0 - softening) * slope * slope - 0.25 * (c - p) * c + stop2
         return self.stiffness * first, self.stiffness * second

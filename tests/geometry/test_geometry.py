@@ -11,6 +11,7 @@ from elements import (
     assert_close,
     curvature,
     curvatures,
+    disconnected,
     full_matrix,
     gradients,
     hessians,
@@ -21,6 +22,7 @@ from elements import (
     rotations,
 )
 
+from jaxcrumple.geometry import hinge as geometry
 from jaxcrumple.model.bending import Bending
 from jaxcrumple.model.damping import CentralDashpot
 from jaxcrumple.model.membrane import Membrane
@@ -37,6 +39,16 @@ def test_curvature_is_eq_33_with_its_sign(hinge_data):
     # Eqs. (30), (A.57): the sign is that of (n1 x n2).e0: positive if faces bend away from n1.
     assert np.array_equal(np.sign(c), np.sign(terms.t0[:, 0, 0]))
     assert np.array_equal(np.sign(c), np.sign(theta))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_curvature_and_slope_are_those_of_the_angle(sign):
+    """From flat almost to the fold, where rounding of the normals' product grows as 1/cos(theta/2)^2."""
+    theta = sign * np.concatenate([np.geomspace(1e-9, 0.1, 20), np.linspace(0.1, np.radians(179.9), 60)])
+    hinge = geometry.hinge(*geometry.gather(*disconnected(hinges_at(np.random.default_rng(4), theta))))
+    exact, loss = hinge.theta, 20.0 * np.finfo(float).eps / np.cos(theta / 2) ** 2
+    assert np.all(np.abs(hinge.curvature / (2.0 * np.sin(exact / 2)) - 1.0) < loss)
+    assert np.all(np.abs(hinge.slope / np.cos(exact / 2) - 1.0) < loss)
 
 
 # --- Flat hinges ---------------------------------------------------------------------------------

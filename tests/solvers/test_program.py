@@ -96,7 +96,7 @@ def test_absent_stages_leave_no_operation():
     inertia, pair, explicit = (
         ("two_step",),
         ("implicit/bdf_pair.py",),
-        ("explicit/stage.py", "explicit_steps"),
+        ("explicit/base.py", "explicit/stage.py"),
     )
     absent = {
         "hybrid": pair,

@@ -5,7 +5,6 @@ from typing import ClassVar
 import jax.numpy as jnp
 
 from jaxcrumple._jax.arrays import HingeValues, NodeVectors, Scalar
-from jaxcrumple.geometry.hinge import curvature
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.explicit.base import AbstractExplicit, Tried, slopes_at
 from jaxcrumple.solvers.explicit.stability import Fastest
@@ -64,7 +63,7 @@ def verlet(
     x = x + h * (v + 0.5 * h * a)
     x = x if supports is None else supports.position(x, end)
     hinges = scene.bending.hinges(x)
-    c, flow = curvature(hinges.theta), None
+    c, flow = hinges.curvature, None
     if p is not None and flows is not None and slopes.flow is not None:
         p = p + 0.5 * h * (slopes.flow + flows.rate(c, p + h * slopes.flow))
         flow = flows.rate(c, p)

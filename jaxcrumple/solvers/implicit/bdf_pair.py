@@ -7,7 +7,6 @@ import jax.numpy as jnp
 
 from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeVectors, Scalar
 from jaxcrumple._jax.tree import as_float, select
-from jaxcrumple.geometry.hinge import curvature
 from jaxcrumple.history import ImplicitStep, implicit_step
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.implicit.base import (
@@ -149,7 +148,7 @@ class BDFPair(AbstractImplicit):
         if p is None or state.p is None or scene.plasticity is None:
             return position / share
         p_lower = updated_rest_curvature(scene, lower, second)
-        c = curvature(scene.bending.hinges(state.x).theta)
+        c = scene.bending.hinges(state.x).curvature
         flow = 0.5 * (p - state.p - h * scene.plasticity.rate(c, state.p))
         rest = jnp.where(order == 1, flow, p_lower - p)  # type: ignore[operator]
         return jnp.maximum(position, 0.5 * jnp.max(jnp.abs(rest))) / share

@@ -10,7 +10,6 @@ from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeVectors, Scalar
 from jaxcrumple._jax.batched_cond import where_needed
 from jaxcrumple._jax.tree import as_float, select
 from jaxcrumple.assembly.sparsity import Pattern
-from jaxcrumple.geometry.hinge import curvature
 from jaxcrumple.history import ImplicitStep
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.implicit.base import (
@@ -200,7 +199,7 @@ class VariableOrder(AbstractImplicit):
         here = _size(scene, change, None)
         if p is not None and scene.plasticity is not None and state.p is not None:
             gap = _gap(p, history.p, extrapolation(h, history.steps, order + 1))
-            flow = scene.plasticity.rate(curvature(scene.bending.hinges(state.x).theta), state.p)
+            flow = scene.plasticity.rate(scene.bending.hinges(state.x).curvature, state.p)
             gap = jnp.where(starts, p - state.p - h * flow, gap)
             here = jnp.maximum(here, 0.5 * jnp.max(jnp.abs(gap)))
         # The predictor of a start is an Euler step, whose error is minus that of the formula. The step that
