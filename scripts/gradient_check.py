@@ -131,9 +131,14 @@ def checks(window: Window, free: bool) -> list[Line]:
         forward = float(push(eqx.tree_at(numbers, still, way)))
         best = closest(lambda size, name=name: difference(value, name, window.inputs, size), reverse)
         runs = tuple(difference(run, name, window.inputs, size) for size in FREE) if free else ()
-        lines.append(Line(name, reverse, abs(forward / reverse - 1.0), best, runs))
+        lines.append(Line(name, reverse, deviation(forward, reverse), best, runs))
         print(lines[-1], flush=True)
     return lines
+
+
+def deviation(found: float, value: float) -> float:
+    """The relative deviation from `value`, or the absolute one from zero."""
+    return abs(found - value) / (abs(value) or 1.0)
 
 
 def closest(found: Callable[[float], float], value: float) -> float:
@@ -143,7 +148,7 @@ def closest(found: Callable[[float], float], value: float) -> float:
         now = found(size)
         # The error of a difference falls to a tenth, so that this combination of two is of fourth order.
         guesses = now, (10.0 * now - before) / 9.0
-        best = min([best, *(abs(guess / value - 1.0) for guess in guesses if np.isfinite(guess))])
+        best = min([best, *(deviation(guess, value) for guess in guesses if np.isfinite(guess))])
         if best < ENOUGH:
             break
         before = now

@@ -21,6 +21,10 @@ def test_gradients_are_those_of_the_replay_by_every_kind_of_number():
     value = abs(float(measure(window, window.solution)))
     for line in lines:
         size = abs(line.reverse)
+        # The window begins in the quasistatic stage, where velocities do not matter.
+        if line.kind == "start: velocities":
+            assert size == line.forward == 0.0 and line.difference < 1e-9 * value, line
+            continue
         assert line.forward < 1e-8, line
         assert line.difference * size < max(RELATIVE * size, RESOLVED * value), line
         # What next to nothing depends on is the exception.
