@@ -32,8 +32,9 @@ MOST_STEPS, RATIO = 20, 0.6
 # Forcing term: relative residual of each linear system. A direct solver meets it with one back substitution;
 # the next Newton iteration corrects the residual of an iterative solver.
 FORCING = 1e-3
-# A change is taken back in part if the residual along it ends with the other sign and more than OVERSHOOT of
-# its size. What remains is the zero of a straight line, between SMALLEST and LARGEST of it, down to LEAST.
+# A change is taken back if the residual along it ends with the other sign and more than OVERSHOOT of its
+# size: in part, if the tangent is the step's own. What remains is then the zero of a straight line, between
+# SMALLEST and LARGEST of it, down to LEAST.
 OVERSHOOT, SMALLEST, LARGEST, LEAST = 0.7, 0.1, 0.7, 1e-3
 # Part of a change that is taken back if the residual at its end is not finite, or too far away to compute.
 UNSOUND = 0.3
@@ -129,8 +130,8 @@ def go_on(
 
     The iteration converges when the remaining error, estimated from the contraction of the updates, is below
     `tolerance` (m, maximum norm). In a step with inertia an indefinite tangent receives more inertia. A
-    change by the step's own tangent that leads too far is taken back in part: the residual is the gradient of
-    an incremental energy, which falls along the change before, and must not rise steeply after it.
+    change that leads too far is taken back, in part or, by the tangent of an earlier step, whole: the
+    residual is the gradient of an incremental energy, which must not rise steeply after the change.
 
     **Arguments:** `guess` (n, 3): start of the iteration, which begins anew if the tangent of another step
     does not serve; `most`: number of iterations after which it fails.
@@ -253,7 +254,7 @@ def _taken(
         renew=stays | slow | ~whole | (now.shift > 0),
         change=change,
         update=jnp.where(stays, jnp.inf, update),
-        slope=jnp.where(stays | (kept.age > 0), 0.0, jnp.vdot(value, change)),
+        slope=jnp.where(stays, 0.0, jnp.vdot(value, change)),
         part=jnp.ones_like(now.part),
         shift=shift,
         iterations=now.iterations + 1,
@@ -267,14 +268,17 @@ def _taken(
 
 def _taken_back(now: NewtonIteration, sound: Flag, slope: Scalar) -> NewtonIteration:
     """Return the iteration with a smaller part of its last change, at whose end the residual along it is
-    `slope` in J, or not finite if not `sound`."""
+    `slope` in J, or not finite if not `sound`. Of a change by the tangent of an earlier step nothing
+    remains."""
+    lagged = now.kept.age > 0
     secant = jnp.where(sound, now.slope / (now.slope - slope), UNSOUND)
     share = jnp.clip(secant, SMALLEST, LARGEST)
     part = share * now.part
     return now._replace(
-        x=now.x - (now.part - part) * now.change,
-        part=part,
-        update=share * now.update,
+        x=jnp.where(lagged, now.start, now.x - (now.part - part) * now.change),
+        part=jnp.where(lagged, 1.0, part),
+        update=jnp.where(lagged, jnp.inf, share * now.update),
+        slope=jnp.where(lagged, 0.0, now.slope),
         renew=jnp.ones_like(now.renew),
         iterations=now.iterations + 1,
     )
