@@ -37,6 +37,7 @@ def applied(found, inverse, force):
 def test_the_updated_inverse_is_that_of_dense_matrices(count):
     tangent, older = definite(1), np.linalg.inv(definite(2))
     steps, found = kept(tangent, count)
+    assert bool(found.full) == (count >= secants.MOST)
     inverse, eye = older, np.eye(3 * NODES)
     for move in steps[-secants.MOST :]:
         s = move.reshape(-1)

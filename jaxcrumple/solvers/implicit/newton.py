@@ -178,7 +178,10 @@ def go_on(
             after = _taken(now, guess, step, kept, value, solution, widest, tolerance)
             return after._replace(start=now.x, value=value, secants=secants, partial=partial)
 
-        return jax.lax.cond(too_far, lambda: _taken_back(now, sound, slope), forward), factor
+        def back() -> NewtonIteration:
+            return _taken_back(now, x, value, sound, slope)
+
+        return jax.lax.cond(too_far, back, forward), factor
 
     def unfinished(carry: tuple[NewtonIteration, Factor]) -> Flag:
         now, _ = carry
@@ -251,7 +254,7 @@ def _taken(
     return now._replace(
         x=jnp.where(again, guess, jnp.where(stiffens, now.x, now.x + change)),
         kept=kept,
-        renew=stays | slow | ~whole | (now.shift > 0),
+        renew=stays | jnp.where(whole, slow, now.secants.full) | (now.shift > 0),
         change=change,
         update=jnp.where(stays, jnp.inf, update),
         slope=jnp.where(stays, 0.0, jnp.vdot(value, change)),
@@ -266,10 +269,17 @@ def _taken(
     )
 
 
-def _taken_back(now: NewtonIteration, sound: Flag, slope: Scalar) -> NewtonIteration:
-    """Return the iteration with a smaller part of its last change, at whose end the residual along it is
-    `slope` in J, or not finite if not `sound`. Of a change by the tangent of an earlier step nothing
-    remains."""
+def _taken_back(
+    now: NewtonIteration, x: NodeVectors, value: NodeVectors, sound: Flag, slope: Scalar
+) -> NewtonIteration:
+    """Return the iteration with a smaller part of its last change, which led too far, to `x` (n, 3).
+
+    Of a change by the tangent of an earlier step nothing remains. The step's own tangent serves on, corrected
+    by what was found at `x`, until the places for corrections are full.
+
+    **Arguments:** `value` (n, 3) in N: residual at `x`; `sound`: whether it is finite; `slope` in J: residual
+    along the change there.
+    """
     lagged = now.kept.age > 0
     secant = jnp.where(sound, now.slope / (now.slope - slope), UNSOUND)
     share = jnp.clip(secant, SMALLEST, LARGEST)
@@ -279,7 +289,8 @@ def _taken_back(now: NewtonIteration, sound: Flag, slope: Scalar) -> NewtonItera
         part=jnp.where(lagged, 1.0, part),
         update=jnp.where(lagged, jnp.inf, share * now.update),
         slope=jnp.where(lagged, 0.0, now.slope),
-        renew=jnp.ones_like(now.renew),
+        secants=now.secants.including(x - now.start, value - now.value, sound & ~lagged),
+        renew=lagged | ~sound | now.secants.full,
         iterations=now.iterations + 1,
     )
 

@@ -34,6 +34,11 @@ class Secants(NamedTuple):
         """Return empty places for `n` nodes."""
         return cls(jnp.zeros((MOST, n, 3)), jnp.zeros((MOST, n, 3)), jnp.zeros(MOST))
 
+    @property
+    def full(self) -> Flag:
+        """Return whether no place is empty."""
+        return jnp.all(self.weights != 0)
+
     def including(self, move: NodeVectors, force: NodeVectors, there: Flag) -> "Secants":
         """Return them with another one in front if it is `there`, and if the energy curves up along it."""
         product = jnp.vdot(move, force)
