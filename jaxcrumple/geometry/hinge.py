@@ -143,7 +143,7 @@ def hinge_gradient(hg: Hinge, slope: Float[Array, "..."] | float = 1.0) -> Hinge
     edge_sq = hg.edge_length * hg.edge_length
     a1, a2 = dot(hg.e1, hg.e0) / edge_sq, dot(hg.e2, hg.e0) / edge_sq
     # XLA on CPU stores the result of a division, but recomputes a product and its operands in each of the
-    # twelve components. So the slope, with its sine and cosine, goes into the quotient.
+    # twelve components. So the slope goes into the quotient.
     weight = -slope * hg.edge_length
     g2 = scale(weight / dot(hg.n1, hg.n1), hg.n1)
     g3 = scale(weight / dot(hg.n2, hg.n2), hg.n2)

@@ -62,6 +62,7 @@ class Carry(NamedTuple):
 
 
 def is_going(carry: Carry) -> Flag:
+    """Return whether the call goes on: it has budget, room in its log, and nothing to wait for."""
     room = carry.log.length < LOG_CAPACITY - 4
     if carry.log.trail is not None:
         room = room & ~carry.log.trail.full
