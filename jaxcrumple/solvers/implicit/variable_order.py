@@ -63,7 +63,7 @@ class VariableOrder(AbstractImplicit):
     linear: AbstractLinearSolver
     rho_infinity: Scalar = eqx.field(default=0.0, converter=as_float)
     inertial_share: Scalar = eqx.field(default=LOCAL_SHARE, converter=as_float)
-    newton_share: Scalar = eqx.field(default=0.015, converter=as_float)
+    newton_share: Scalar = eqx.field(default=0.0075, converter=as_float)
     inertia: bool = eqx.field(static=True, default=True)
     max_order: int = eqx.field(static=True, default=5)
     max_iterations: int = eqx.field(static=True, default=20)
