@@ -19,6 +19,12 @@ CORNERS = tuple((side, corner) for side in range(2) for corner in range(3))
 EDGES = tuple((first, second) for first in range(3) for second in range(3))
 # Corners at the ends of each edge of a triangle.
 ENDS = ((0, 1), (1, 2), (2, 0))
+# Which corners (15, 3, 3) of both triangles belong to each part.
+_OWNED = np.zeros((len(CORNERS) + len(EDGES), 3, 3), bool)
+for _part, (_side, _corner) in enumerate(CORNERS):
+    _OWNED[_part, *((_corner, slice(None)) if _side == 0 else (slice(None), _corner))] = True
+for _part, (_first, _second) in enumerate(EDGES, len(CORNERS)):
+    _OWNED[_part, *np.ix_(ENDS[_first], ENDS[_second])] = True
 # Squared sine below which two segments count as parallel; and an offset in m2, below any squared length here,
 # that avoids 0/0.
 PARALLEL, TINY = 1e-12, 1e-60
@@ -48,14 +54,21 @@ def point_plane(p: Vec, a: Vec, b: Vec, c: Vec) -> Float[Array, "..."]:
     return jnp.where((u >= 0) & (v >= 0) & (u + v <= 1), height * height / area, jnp.inf)
 
 
-def primitive_distances(first: tuple[Vec, ...], second: tuple[Vec, ...]) -> Float[Array, "15 ..."]:
-    """Squared distances (15, ...) between the parts of two triangles, given by three corners each.
+def paired_corners(
+    x: Float[Array, "nodes 3"], first: Int[Array, "pairs 3"], second: Int[Array, "pairs 3"]
+) -> Float[Array, "2 3 3 pairs"]:
+    """Corners (2, 3, 3, m) of pairs of triangles with nodes `first`, `second` (m, 3): by triangle, corner and
+    component; `x` (n, 3): node positions."""
+    return jnp.moveaxis(x.T[:, jnp.stack([first.T, second.T])], 0, 2)
+
+
+def primitive_distances(sides: Float[Array, "2 3 3 *pairs"]) -> Float[Array, "15 *pairs"]:  # noqa: F821
+    """Squared distances (15, ...) between the parts of two triangles, from `paired_corners` (2, 3, 3, ...).
 
     The first six are corner-triangle distances (`CORNERS`). They are infinite where the foot of the corner
     lies outside the triangle, because an edge is nearer then. The other nine are edge-edge distances
     (`EDGES`). Their minimum is the squared distance of triangles that do not intersect.
     """
-    sides = jnp.stack([jnp.stack([jnp.stack(c) for c in side]) for side in (first, second)])
     # XLA compiles the body of a loop once; fifteen expressions would take ten times as long.
     side, corner = np.array(CORNERS).T
 
@@ -80,11 +93,8 @@ def _vec(a: Float[Array, "3 ..."]) -> Vec:
 
 def shared_parts(first: Int[Array, "pairs 3"], second: Int[Array, "pairs 3"]) -> Bool[Array, "15 pairs"]:
     """Flags (15, m) of parts as in `primitive_distances` that share a node, from node numbers (m, 3)."""
-    same = first[:, :, None] == second[:, None, :]
-    owned = [jnp.any(same[:, k] if s == 0 else same[:, :, k], axis=1) for s, k in CORNERS]
-    for i, j in EDGES:
-        owned.append(jnp.any(same[:, np.array(ENDS[i])][:, :, np.array(ENDS[j])], axis=(1, 2)))
-    return jnp.stack(owned)
+    same = first.T[:, None] == second.T[None, :]
+    return jnp.any(_OWNED[..., None] & same, axis=(1, 2))
 
 
 def boxes(corners: Float[Array, "faces 3 3"], extent: Float[Array, " faces"]) -> tuple[Vec, Vec]:
