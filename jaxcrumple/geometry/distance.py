@@ -19,12 +19,6 @@ CORNERS = tuple((side, corner) for side in range(2) for corner in range(3))
 EDGES = tuple((first, second) for first in range(3) for second in range(3))
 # Corners at the ends of each edge of a triangle.
 ENDS = ((0, 1), (1, 2), (2, 0))
-# Which corners (15, 3, 3) of both triangles belong to each part.
-_OWNED = np.zeros((len(CORNERS) + len(EDGES), 3, 3), bool)
-for _part, (_side, _corner) in enumerate(CORNERS):
-    _OWNED[_part, *((_corner, slice(None)) if _side == 0 else (slice(None), _corner))] = True
-for _part, (_first, _second) in enumerate(EDGES, len(CORNERS)):
-    _OWNED[_part, *np.ix_(ENDS[_first], ENDS[_second])] = True
 # Squared sine below which two segments count as parallel; and an offset in m2, below any squared length here,
 # that avoids 0/0.
 PARALLEL, TINY = 1e-12, 1e-60
@@ -55,10 +49,10 @@ def point_plane(p: Vec, a: Vec, b: Vec, c: Vec) -> Float[Array, "..."]:
 
 
 def paired_corners(
-    x: Float[Array, "nodes 3"], first: Int[Array, "pairs 3"], second: Int[Array, "pairs 3"]
-) -> Float[Array, "2 3 3 pairs"]:
-    """Corners (2, 3, 3, m) of pairs of triangles with nodes `first`, `second` (m, 3): by triangle, corner and
-    component; `x` (n, 3): node positions."""
+    x: Float[Array, "nodes components"], first: Int[Array, "pairs 3"], second: Int[Array, "pairs 3"]
+) -> Float[Array, "2 3 components pairs"]:
+    """Corners (2, 3, c, m) of pairs of triangles with nodes `first`, `second` (m, 3): by triangle, corner and
+    component; `x` (n, c): positions of the nodes, or other vectors."""
     return jnp.moveaxis(x.T[:, jnp.stack([first.T, second.T])], 0, 2)
 
 
@@ -94,7 +88,17 @@ def _vec(a: Float[Array, "3 ..."]) -> Vec:
 def shared_parts(first: Int[Array, "pairs 3"], second: Int[Array, "pairs 3"]) -> Bool[Array, "15 pairs"]:
     """Flags (15, m) of parts as in `primitive_distances` that share a node, from node numbers (m, 3)."""
     same = first.T[:, None] == second.T[None, :]
-    return jnp.any(_OWNED[..., None] & same, axis=(1, 2))
+    return jnp.any(_owned()[..., None] & same, axis=(1, 2))
+
+
+def _owned() -> Bool[np.ndarray, "15 3 3"]:
+    """Flags of the pairs of corners of both triangles that belong to each part."""
+    owned = np.zeros((len(CORNERS) + len(EDGES), 3, 3), bool)
+    for part, (side, corner) in zip(owned, CORNERS, strict=False):
+        (part if side == 0 else part.T)[corner] = True
+    for part, (one, two) in zip(owned[len(CORNERS) :], EDGES, strict=True):
+        part[np.ix_(ENDS[one], ENDS[two])] = True
+    return owned
 
 
 def boxes(corners: Float[Array, "faces 3 3"], extent: Float[Array, " faces"]) -> tuple[Vec, Vec]:
