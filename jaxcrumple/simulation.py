@@ -3,7 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import equinox as eqx
 import jax
@@ -15,6 +15,7 @@ from jaxcrumple._jax.arrays import Scalar, ScalarLike
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.memory import require, require_run
 from jaxcrumple._jax.program_cache import give_back, make_room
+from jaxcrumple._jax.stored_programs import StoredJit
 from jaxcrumple._jax.threads import limited_blas
 from jaxcrumple._jax.tree import as_float, is_number, require_limit
 from jaxcrumple.model.loads import check_motion
@@ -39,7 +40,14 @@ TRAIL = 256
 COMPILED = 1.0
 # Most consecutive calls that wait for a larger list and make no attempt: more than the lists can double.
 MOST_WAITS = 100
-_integrate = eqx.filter_jit(integrate)
+
+
+def _load_libraries(scene: Scene, state: State, t_stop: Scalar, solver: Integrator, *others: Any) -> None:
+    if solver.implicit is not None:
+        solver.implicit.linear.load_library()
+
+
+_integrate = StoredJit(integrate, _load_libraries)
 
 # Frame times in s, or the end time alone.
 Times = ScalarLike | Real[ArrayLike, " times"] | Sequence[float]

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Int
 from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeValues, NodeVectors, NodeVectorsLike, Scalar
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.memory import require
+from jaxcrumple._jax.stored_programs import StoredJit
 from jaxcrumple._jax.tree import as_float, is_known, require_finite
 from jaxcrumple.contact.lists import Reference, nowhere
 from jaxcrumple.contact.parameters import Contact
@@ -221,6 +222,7 @@ def fresh_monitor(window: int, futile: Count | int = 0) -> Monitor:
     return Monitor(jnp.zeros(window), zero, jnp.asarray(0.0, float), jnp.asarray(False), futile)
 
 
+@StoredJit
 def _memory(
     scene: Scene, x: NodeVectors, v: NodeVectors, p: HingeValues | None
 ) -> tuple[Slopes, History, Linearization, Listing | None]:

@@ -52,7 +52,9 @@ _keep_compiled_programs()
 def _forgotten_programs():
     """Drop compiled programs after each file: all of them in one process exhaust its memory maps."""
     yield
-    jax.clear_caches()
+    from jaxcrumple._jax import program_cache
+
+    program_cache.clear()
 
 
 @pytest.fixture(autouse=True)

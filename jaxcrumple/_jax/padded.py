@@ -197,9 +197,9 @@ def filled(value: Callable[[Int[Array, " chunk"]], Any], count: Count, size: int
 def counted(numbers: Int[Array, " entries"] | Bool[Array, " entries"]) -> Int[Array, " entries"]:
     """Return the inclusive cumulative sum (m,) of small integers or flags `numbers` (m,).
 
-    A matrix product sums within rows of SIDE numbers; a short cumulative sum adds the rows before.
+    Matrix products sum within rows of SIDE numbers, and over the rows before.
     """
     rows = jnp.pad(numbers, (0, -numbers.size % SIDE)).reshape(-1, SIDE).astype(jnp.float32)
     within = rows @ jnp.triu(jnp.ones((SIDE, SIDE), jnp.float32))
-    before = jnp.cumsum(within[:, -1]) - within[:, -1]
+    before = jnp.tril(jnp.ones((len(rows), len(rows)), jnp.float32), -1) @ within[:, -1]
     return (within + before[:, None]).reshape(-1)[: numbers.size].astype(jnp.int32)

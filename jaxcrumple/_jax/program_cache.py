@@ -11,6 +11,7 @@ import jax
 import psutil
 
 from jaxcrumple._jax.memory import memory_limit
+from jaxcrumple._jax.stored_programs import forget_programs
 
 # Linux files with the memory mappings of this process, and with their maximum number.
 MAPPINGS, LIMIT = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
@@ -63,13 +64,19 @@ def make_room(*arguments: Any, share: float = SHARE) -> bool:
     program = _signature(arguments)
     crowded = _memory.crowded(program) or _out_of_mappings(share)
     if crowded:
-        eqx.clear_caches()
-        jax.clear_caches()
-        gc.collect()
-        give_back()
+        clear()
         _memory.forgotten()
     _memory.compiled.add(program)
     return crowded
+
+
+def clear() -> None:
+    """Clear all compiled programs."""
+    eqx.clear_caches()
+    jax.clear_caches()
+    forget_programs()
+    gc.collect()
+    give_back()
 
 
 def resident() -> float:

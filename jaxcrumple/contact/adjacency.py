@@ -41,11 +41,9 @@ class Fans(eqx.Module):
         """Return the total turn (w,) in rad along each way, for hinge angles `theta` (h,) in rad."""
         angles = jnp.append(jnp.abs(theta), 0.0)
         # One cumulative sum around a node serves all its ways, about thirty.
-        turned, before = jnp.zeros(self.hinges.shape[0]), []
-        for k in range(self.hinges.shape[1]):
-            before.append(turned)
-            turned = turned + angles[self.hinges[:, k]]
-        sums = jnp.stack([*before, turned], axis=1).reshape(-1)
+        around = angles[self.hinges]
+        width = around.shape[1]
+        sums = (around @ jnp.triu(jnp.ones((width, width + 1)), 1)).reshape(-1)
         return sums[self.ends[:, 1]] - sums[self.ends[:, 0]]
 
 

@@ -12,8 +12,7 @@ from jaxcrumple._jax.padded import accumulate
 from jaxcrumple.contact.active_set import may_touch
 from jaxcrumple.contact.lists import ContactLists, motion
 from jaxcrumple.contact.parameters import Contact
-from jaxcrumple.geometry.distance import primitive_distances, shared_parts
-from jaxcrumple.geometry.hinge import Vec, add, dot, gather, scale, sub
+from jaxcrumple.geometry.distance import paired_corners, primitive_distances, shared_parts
 
 # Parts of the sheet count as touching when their distance falls to this share of its start value, or of the
 # range if that is less. An advance leaves at least half of this distance.
@@ -49,6 +48,7 @@ def _pairs_cross(contact: Contact, lists: ContactLists, start: NodeVectors, end:
     pairs = lists.pairs
     places, count = may_touch(contact, lists, start, end)
     moves = jnp.maximum(*(motion(pairs.reference.x, x) for x in (start, end)))
+    both = jnp.concatenate([start, end - start], axis=1)
 
     def add(
         touched: Flag,
@@ -56,20 +56,20 @@ def _pairs_cross(contact: Contact, lists: ContactLists, start: NodeVectors, end:
         at: Int[Array, " chunk"],
         held: Bool[Array, " chunk"],
     ) -> Flag:
-        start, way, moves, distance, triangles, faces, places = arguments
+        both, moves, distance, triangles, faces, places = arguments
         at = places[at]
         first, second = (faces[triangles[at, side]] for side in range(2))
         # An active set also covers other motions. Pairs that this step cannot bring together must not decide.
         nearer = jnp.max(moves[first], axis=1) + jnp.max(moves[second], axis=1)
         asked = held & (distance[at] <= nearer)
-        parts, steps = ((gather(x, first), gather(x, second)) for x in (start, way))
-        return touched | jnp.any(touches(parts, steps, shared_parts(first, second), contact.range, asked))
+        corners, steps = jnp.split(paired_corners(both, first, second), 2, axis=2)
+        return touched | jnp.any(touches(corners, steps, shared_parts(first, second), contact.range, asked))
 
-    arguments = start, end - start, moves, pairs.distance, pairs.triangles, contact.faces, places
+    arguments = both, moves, pairs.distance, pairs.triangles, contact.faces, places
     return accumulate(add, jnp.asarray(False), arguments, count, pairs.capacity.triangles, DOUBTED)
 
 
-Corners = tuple[tuple[Vec, ...], tuple[Vec, ...]]
+Corners = Float[Array, "2 3 3 pairs"]
 _Advance = tuple[Float[Array, " pairs"], Float[Array, " pairs"], Bool[Array, " pairs"], Count]
 
 
@@ -82,17 +82,14 @@ def touches(
 ) -> Bool[Array, " pairs"]:
     """Return which (m,) of the pairs of triangles flagged in `asked` (m,) might touch along `steps`.
 
-    `corners`, `steps`: the three corners of the first and of the second triangle in m, and their
+    `corners`, `steps` (2, 3, 3, m): corners of both triangles in m, as in `paired_corners`, and their
     displacements; `shared` (15, m): parts to ignore, as in `shared_parts`; `range`: contact range in m, which
     limits the distance at which parts count as touching.
     """
 
     def distance(t: Float[Array, " pairs"]) -> Float[Array, " pairs"]:
-        here = tuple(
-            tuple(add(p, scale(t, d)) for p, d in zip(points, moves, strict=True))
-            for points, moves in zip(corners, steps, strict=True)
-        )
-        return jnp.sqrt(jnp.min(jnp.where(shared, jnp.inf, primitive_distances(*here)), axis=0))
+        parts = primitive_distances(corners + t * steps)
+        return jnp.sqrt(jnp.min(jnp.where(shared, jnp.inf, parts), axis=0))
 
     speed = jnp.maximum(_relative_motion(steps), 1e-300)
 
@@ -118,14 +115,6 @@ def touches(
 
 def _relative_motion(steps: Corners) -> Float[Array, " pairs"]:
     """Return a bound (m,) in m on the approach of two triangles along a step, without their common motion."""
-    everything = [*steps[0], *steps[1]]
-    mean = scale(1.0 / len(everything), _sum(everything))
-    lengths = [jnp.stack([jnp.sqrt(dot(r, r)) for r in (sub(d, mean) for d in side)]) for side in steps]
-    return jnp.max(lengths[0], axis=0) + jnp.max(lengths[1], axis=0)
-
-
-def _sum(vectors: list[Vec]) -> Vec:
-    total = vectors[0]
-    for vector in vectors[1:]:
-        total = add(total, vector)
-    return total
+    own = steps - jnp.mean(steps, axis=(0, 1))
+    lengths = jnp.sqrt(jnp.sum(own**2, axis=2))
+    return jnp.sum(jnp.max(lengths, axis=1), axis=0)

@@ -9,7 +9,6 @@ refinement or on the triangle. On a lattice of triangles of height $\\sigma$ the
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxcrumple._jax.arrays import Count, NodeValues, NodeVectors, Scalar
 from jaxcrumple._jax.padded import accumulate
+from jaxcrumple._jax.stored_programs import StoredJit
 from jaxcrumple.contact.active_set import (
     PairTerms,
     interacting,
@@ -125,7 +125,7 @@ def nearer_product(
     return product
 
 
-@eqx.filter_jit
+@StoredJit
 def closest_sites(contact: Contact, lists: ContactLists, x: NodeVectors) -> tuple[Scalar, Count, Count]:
     """Find the closest interacting site pair at positions `x` (n, 3).
 

@@ -2,12 +2,12 @@
 
 import itertools
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int
 from scipy.spatial import cKDTree
 
+from jaxcrumple._jax.stored_programs import StoredJit
 from jaxcrumple.contact.adjacency import LISTED_TURN, Fans
 from jaxcrumple.contact.lists import EXCLUSION
 from jaxcrumple.contact.parameters import Contact
@@ -17,7 +17,7 @@ from jaxcrumple.contact.parameters import Contact
 FAST = 0.02
 
 
-_turning = eqx.filter_jit(Fans.turning)
+_turning = StoredJit(Fans.turning)
 
 
 class Search:

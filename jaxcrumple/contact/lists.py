@@ -226,8 +226,8 @@ def carried(
 def motion(start: Float[Any, "nodes 3"], end: Float[Any, "nodes 3"]) -> NodeValues:
     """Return the distance (n,) that each node moved from `start` to `end` (n, 3), without the mean motion."""
     # By columns, because rows of three do not vectorise.
-    columns = [end[:, k] - start[:, k] for k in range(3)]
-    x, y, z = (column - jnp.mean(column) for column in columns)
+    moved = end.T - start.T
+    x, y, z = moved - jnp.mean(moved, axis=1, keepdims=True)
     return jnp.sqrt(dot((x, y, z), (x, y, z)))
 
 

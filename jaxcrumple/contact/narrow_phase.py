@@ -15,7 +15,7 @@ from jaxcrumple.contact.lists import (
 )
 from jaxcrumple.contact.parameters import Contact
 from jaxcrumple.contact.site_rows import Lattice, across, in_prism, within, without
-from jaxcrumple.geometry.distance import boxes, boxes_meet, primitive_distances, shared_parts
+from jaxcrumple.geometry.distance import boxes, boxes_meet, paired_corners, primitive_distances, shared_parts
 from jaxcrumple.geometry.hinge import Vec, add, dot, gather, scale, sub
 
 # Entries per chunk: pairs of boxes, pairs of triangles, rows of sites, and site pairs in tests of distances.
@@ -239,7 +239,7 @@ def _distances(
     x: NodeVectors, first: Int[Array, "pairs 3"], second: Int[Array, "pairs 3"]
 ) -> tuple[Float[Array, " pairs"], Float[Array, " pairs"]]:
     """Return the distance (m,) of triangles with nodes (m, 3), and that between parts that share no node."""
-    parts = primitive_distances(gather(x, first), gather(x, second))
+    parts = primitive_distances(paired_corners(x, first, second))
     shared = shared_parts(first, second)
     whole = jnp.where(jnp.any(shared, axis=0), 0.0, jnp.sqrt(jnp.min(parts, axis=0)))
     return whole, jnp.sqrt(jnp.min(jnp.where(shared, jnp.inf, parts), axis=0))

@@ -48,14 +48,21 @@ def point_plane(p: Vec, a: Vec, b: Vec, c: Vec) -> Float[Array, "..."]:
     return jnp.where((u >= 0) & (v >= 0) & (u + v <= 1), height * height / area, jnp.inf)
 
 
-def primitive_distances(first: tuple[Vec, ...], second: tuple[Vec, ...]) -> Float[Array, "15 ..."]:
-    """Squared distances (15, ...) between the parts of two triangles, given by three corners each.
+def paired_corners(
+    x: Float[Array, "nodes components"], first: Int[Array, "pairs 3"], second: Int[Array, "pairs 3"]
+) -> Float[Array, "2 3 components pairs"]:
+    """Corners (2, 3, c, m) of pairs of triangles with nodes `first`, `second` (m, 3): by triangle, corner and
+    component; `x` (n, c): positions of the nodes, or other vectors."""
+    return jnp.moveaxis(x.T[:, jnp.stack([first.T, second.T])], 0, 2)
+
+
+def primitive_distances(sides: Float[Array, "2 3 3 *pairs"]) -> Float[Array, "15 *pairs"]:  # noqa: F821
+    """Squared distances (15, ...) between the parts of two triangles, from `paired_corners` (2, 3, 3, ...).
 
     The first six are corner-triangle distances (`CORNERS`). They are infinite where the foot of the corner
     lies outside the triangle, because an edge is nearer then. The other nine are edge-edge distances
     (`EDGES`). Their minimum is the squared distance of triangles that do not intersect.
     """
-    sides = jnp.stack([jnp.stack([jnp.stack(c) for c in side]) for side in (first, second)])
     # XLA compiles the body of a loop once; fifteen expressions would take ten times as long.
     side, corner = np.array(CORNERS).T
 
@@ -80,11 +87,18 @@ def _vec(a: Float[Array, "3 ..."]) -> Vec:
 
 def shared_parts(first: Int[Array, "pairs 3"], second: Int[Array, "pairs 3"]) -> Bool[Array, "15 pairs"]:
     """Flags (15, m) of parts as in `primitive_distances` that share a node, from node numbers (m, 3)."""
-    same = first[:, :, None] == second[:, None, :]
-    owned = [jnp.any(same[:, k] if s == 0 else same[:, :, k], axis=1) for s, k in CORNERS]
-    for i, j in EDGES:
-        owned.append(jnp.any(same[:, np.array(ENDS[i])][:, :, np.array(ENDS[j])], axis=(1, 2)))
-    return jnp.stack(owned)
+    same = first.T[:, None] == second.T[None, :]
+    return jnp.any(_owned()[..., None] & same, axis=(1, 2))
+
+
+def _owned() -> Bool[np.ndarray, "15 3 3"]:
+    """Flags of the pairs of corners of both triangles that belong to each part."""
+    owned = np.zeros((len(CORNERS) + len(EDGES), 3, 3), bool)
+    for part, (side, corner) in zip(owned, CORNERS, strict=False):
+        (part if side == 0 else part.T)[corner] = True
+    for part, (one, two) in zip(owned[len(CORNERS) :], EDGES, strict=True):
+        part[np.ix_(ENDS[one], ENDS[two])] = True
+    return owned
 
 
 def boxes(corners: Float[Array, "faces 3 3"], extent: Float[Array, " faces"]) -> tuple[Vec, Vec]:

@@ -16,8 +16,7 @@ from jaxcrumple.contact.coverage import largest_unlisted_turn
 from jaxcrumple.contact.host_broad_phase import Search, _tree_pairs
 from jaxcrumple.contact.lists import Reference
 from jaxcrumple.contact.skin import CANDIDATES, PAIRS
-from jaxcrumple.geometry.distance import primitive_distances
-from jaxcrumple.geometry.hinge import gather
+from jaxcrumple.geometry.distance import paired_corners, primitive_distances
 
 SIGMA = 0.5e-3
 
@@ -47,7 +46,7 @@ def every_pair(scene, x, reach):
     contact = scene.contact
     faces, rest = np.asarray(contact.faces), np.asarray(contact.rest)
     one, two = np.triu_indices(len(faces), 1)
-    parts = primitive_distances(gather(x, contact.faces[one]), gather(x, contact.faces[two]))
+    parts = primitive_distances(paired_corners(x, contact.faces[one], contact.faces[two]))
     gap = np.sqrt(np.min(parts, axis=0))
     wide = np.asarray(reach)[faces].max(axis=1)
     shared = (faces[one][:, :, None] == faces[two][:, None]).any(axis=(1, 2))

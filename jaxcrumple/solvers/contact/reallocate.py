@@ -10,6 +10,7 @@ from jaxtyping import Array, ArrayLike, Bool, Int
 from jaxcrumple._jax.arrays import HingeValues, NodeVectors, NodeVectorsLike, Scalar
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.program_cache import make_room
+from jaxcrumple._jax.stored_programs import StoredJit
 from jaxcrumple._jax.tree import is_known
 from jaxcrumple.assembly.merged_matrix import Merger
 from jaxcrumple.contact.adjacency import PLACED_TURN, largest_turn
@@ -30,7 +31,7 @@ from jaxcrumple.scene import Scene, require_scene, with_lists
 from jaxcrumple.solvers.contact.schedule import empty_lists
 from jaxcrumple.state import Listing, State, check_positions, first_listing
 
-_find_pairs = eqx.filter_jit(find_pairs)
+_find_pairs = StoredJit(find_pairs)
 # First capacity for candidates per node, and its lower limit. In a fine mesh the candidates include the next
 # neighbours of all triangles.
 CANDIDATES_PER_NODE, LEAST_CANDIDATES = 16, 32_000
@@ -160,7 +161,7 @@ def _places_of(lists: ContactLists) -> float:
     return np.inf if lists.matrix is None else lists.matrix.keys.shape[0]
 
 
-@eqx.filter_jit
+@StoredJit
 def _turned(scene: Scene, x: NodeVectors, folded: Bool[Array, " ways"]) -> tuple[HingeValues, Scalar]:
     """Return the hinge angles (h,) in rad at positions `x` (n, 3), and the largest turn in rad of the ways
     that are not `folded` (w,)."""

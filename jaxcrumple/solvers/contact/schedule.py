@@ -81,7 +81,7 @@ class Schedule(NamedTuple):
     - `candidates`, `pairs`: the motions that these two lists must cover after the next rebuild.
     - `status`: a `ListStatus`.
     - `short`: whether triangles were near within a longer step, so that the next step must be short.
-    - `turn`: `unlisted_turn` in rad at the start of the current round of steps.
+    - `turn`: `unlisted_turn` in rad at the start of the round of steps, or after the last explicit step.
     """
 
     lists: ContactLists
@@ -304,8 +304,7 @@ def _status(
     `ListStatus`; `loose`: whether the skin of the site pairs is much larger than needed."""
     contact, listing, lists = scene.contact, state.listing, schedule.lists
     assert contact is not None and listing is not None
-    blunt = unlisted_turn(listed(scene, schedule), state.x) < DUE_TURN
-    candidates_cover = listing.candidates.covers(ahead, margin) & blunt
+    candidates_cover = listing.candidates.covers(ahead, margin) & (schedule.turn < DUE_TURN)
     # Compare with the first capacities. The current ones grow during a run, and a resumed run would decide
     # differently.
     first = jnp.asarray(first_capacity(scene.n_nodes))

@@ -2,13 +2,13 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxcrumple._jax.arrays import HingeValues, NodeValues, NodeVectors, Scalar, ScalarLike
+from jaxcrumple._jax.arrays import Count, HingeValues, NodeValues, NodeVectors, Scalar, ScalarLike
 from jaxcrumple.contact.energy import nearer_product
 from jaxcrumple.scene import Scene
 from jaxcrumple.state import Limit
@@ -129,10 +129,14 @@ def _largest(a: Float[Array, "rows rows"]) -> Scalar:
     simultaneous calls hang a pool of two threads.
     """
     shift = jnp.max(jnp.sum(jnp.abs(a), axis=1))
-    power, logarithm = a + shift * jnp.eye(len(a)), jnp.zeros(())
-    for k in range(SQUARINGS):
+
+    def square(k: Count, carry: tuple[Float[Array, "rows rows"], Scalar]) -> Any:
+        power, logarithm = carry
         size = jnp.linalg.norm(power)
         scaled = power / jnp.where(size > 0, size, 1.0)
-        power, logarithm = scaled @ scaled, logarithm + jnp.log(size) / 2**k
+        return scaled @ scaled, logarithm + jnp.log(size) * 0.5**k
+
+    start = a + shift * jnp.eye(len(a)), jnp.zeros(())
+    power, logarithm = jax.lax.fori_loop(0, SQUARINGS, square, start)
     size = jnp.linalg.norm(power)
     return jnp.where(shift > 0, jnp.exp(logarithm + jnp.log(size) / 2**SQUARINGS) - shift, 0.0)

@@ -32,8 +32,7 @@ class ImplicitAttempt(NamedTuple):
     `error`: local error in units of the tolerance; `cause`: index into `CAUSES`, or -1 for an accepted step;
     `order`: order of the step; `next_h` in s and `next_order`: size and order of the next step; `factor` and
     `kept`: factor of the last tangent, and where that tangent was computed; `newton`, `linear`, `factors`:
-    iterations and factorisations of the attempt; `restored`: whether the attempt only recomputed the factor,
-    so that the other fields are meaningless.
+    iterations and factorisations of the attempt.
     """
 
     x: NodeVectors
@@ -50,7 +49,6 @@ class ImplicitAttempt(NamedTuple):
     newton: Count
     linear: Count
     factors: Count
-    restored: Flag
 
     @property
     def accepted(self) -> Flag:
@@ -88,6 +86,11 @@ class AbstractImplicit(eqx.Module):
     @abc.abstractmethod
     def is_over(self, begun: Any) -> Flag:
         """Return whether the equations are solved, or cannot be."""
+
+    @abc.abstractmethod
+    def restores(self, begun: Any) -> Flag:
+        """Return whether `go_on` only recomputes the missing factor of the lagged tangent, so that the step
+        must begin again."""
 
     @abc.abstractmethod
     def iterate(self, begun: Any) -> NodeVectors:

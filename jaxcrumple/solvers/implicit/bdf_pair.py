@@ -94,6 +94,10 @@ class BDFPair(AbstractImplicit):
         """Return whether both solves are over, or the first failed."""
         return begun.iteration.is_over(self.max_iterations)
 
+    def restores(self, begun: "_Pair") -> Flag:
+        """Return False: no factor is lagged from an earlier step."""
+        return jnp.asarray(False)
+
     def iterate(self, begun: "_Pair") -> NodeVectors:
         """Return the iterate (n, 3)."""
         return begun.iteration.x
@@ -112,7 +116,6 @@ class BDFPair(AbstractImplicit):
         return ImplicitAttempt(
             x, v, p, (v - state.v) / h, error, cause, order, next_h, state.history.order, factor, state.kept,
             begun.iterations + found.iterations, begun.linear + found.linear, begun.factors + found.factors,
-            found.restores,
         )  # fmt: skip
 
     def _first_error(

@@ -306,12 +306,11 @@ def must_restore(kept: Linearization, held: Flag) -> Flag:
     return (kept.age < NEVER) & ~held
 
 
-def last_tangent(iteration: NewtonIteration, before: Linearization) -> Linearization:
-    """Return where the tangent of the factor was computed, for the next step; `before`: for the last one."""
+def last_tangent(iteration: NewtonIteration) -> Linearization:
+    """Return where the tangent of the factor was computed, for the next step."""
     # A matrix with entries for more pairs would give another factor, and a resumed run might have it.
     serves = iteration.converged & ~iteration.partial
-    age = jnp.where(serves, iteration.kept.age, NEVER)
-    return select(iteration.restores, before, eqx.tree_at(lambda k: k.age, iteration.kept, age))
+    return eqx.tree_at(lambda k: k.age, iteration.kept, jnp.where(serves, iteration.kept.age, NEVER))
 
 
 def _usable(step: ImplicitStep, kept: Linearization) -> Flag:

@@ -65,19 +65,40 @@ def implicit_steps(scene: Scene, carry: Carry, solver: Integrator) -> Carry:
 
 
 def _attempt(scene: Scene, carry: Carry, solver: Integrator) -> Carry:
-    """Solve the equations of a step as far as the contact lists permit; if they are solved, end the step."""
+    """Solve the equations of a step as far as the contact lists permit, and end the step if they are solved
+    or cannot be. If the factor of the lagged tangent is missing, only recompute it."""
     implicit, trial = solver.implicit, carry.trial
     assert implicit is not None and trial is not None and carry.factor is not None
     now, state, proposed = listed(scene, carry.schedule), carry.state, trial.proposed
-    begun = select(trial.underway, trial.begun, implicit.begin(now, state, proposed.h, carry.held))
+    begun = jax.lax.cond(
+        trial.underway,
+        lambda: trial.begun,
+        lambda: implicit.begin(now, state, proposed.h, carry.held),
+    )
     begun, factor = implicit.go_on(now, state, proposed.h, begun, carry.factor)
     carry = carry._replace(factor=factor, trial=Trial(jnp.asarray(True), proposed, begun))
-    return jax.lax.cond(
-        implicit.is_over(begun),
-        lambda carry: _ended(now, carry, solver),
-        lambda carry: _interposed(now, carry, solver),
+    over = implicit.is_over(begun)
+    return jax.lax.switch(
+        over.astype(int) + (over & implicit.restores(begun)),
+        (
+            lambda carry: _interposed(now, carry, solver),
+            lambda carry: _ended(now, carry, solver),
+            _restored,
+        ),
         carry,
     )
+
+
+def _over(carry: Carry) -> Carry:
+    """Return the loop variables after a solve: its factor is there, and no step is underway."""
+    assert carry.trial is not None
+    over = carry.trial._replace(underway=jnp.zeros_like(carry.trial.underway))
+    return carry._replace(held=jnp.ones_like(carry.held), trial=over, ready=jnp.zeros_like(carry.ready))
+
+
+def _restored(carry: Carry) -> Carry:
+    """Take the recomputed factor, and request the lists of the state again."""
+    return _over(carry)._replace(schedule=rescheduled(carry.state, carry.schedule))
 
 
 def _interposed(scene: Scene, carry: Carry, solver: Integrator) -> Carry:
@@ -116,17 +137,8 @@ def _ended(scene: Scene, carry: Carry, solver: Integrator) -> Carry:
     handover = after_implicit(scene, moved, tried.accepted, tried.cause, solver, proposed.bounded)
     hopeless = ~tried.accepted & (handover.stage != EXPLICIT) & is_tiny(moved.h, moved.t)
     moved = given_up(moved, hopeless, tried.cause)
-    over = carry.trial._replace(underway=jnp.asarray(False))
-    carry = carry._replace(held=jnp.ones_like(carry.held), trial=over, ready=jnp.zeros_like(carry.ready))
-    after = after_attempt(carry, moved, log, entry, handover, IMPLICIT_COST, tried.accepted & proposed.lands)
-    restored = carry._replace(schedule=rescheduled(state, carry.schedule))
-    return after._replace(
-        **{
-            name: select(tried.restored, getattr(restored, name), getattr(after, name))
-            for name in Carry._fields
-            if name not in ("factor", "held", "trial")
-        }
-    )
+    done = tried.accepted & proposed.lands
+    return after_attempt(_over(carry), moved, log, entry, handover, IMPLICIT_COST, done)
 
 
 def _moved(

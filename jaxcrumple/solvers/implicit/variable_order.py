@@ -99,6 +99,10 @@ class VariableOrder(AbstractImplicit):
         """Return whether the iteration is over."""
         return begun.is_over(self.max_iterations)
 
+    def restores(self, begun: NewtonIteration) -> Flag:
+        """Return whether the iteration only recomputes a missing factor."""
+        return begun.restores
+
     def iterate(self, begun: NewtonIteration) -> NodeVectors:
         """Return the iterate (n, 3)."""
         return begun.x
@@ -116,14 +120,13 @@ class VariableOrder(AbstractImplicit):
         p = None if mean_p is None or state.p is None else _whole(theta, mean_p, state.p)
         change = self._filtered(scene, state, step, x - predicted, factor)
         errors = self._errors(scene, state, h, formula, x, p, change)
-        converged = begun.converged & ~begun.restores
-        cause = judge(scene, state, converged, begun.indefinite, x, state.t + h, errors[1])
+        cause = judge(scene, state, begun.converged, begun.indefinite, x, state.t + h, errors[1])
         next_h, next_order = self._next(h, order, errors, cause)
         acceleration = jnp.where(state.stage == IMPLICIT, step.acceleration(mean_v), (v - state.v) / h)
-        kept = last_tangent(begun, state.kept) if self.inertia else state.kept
+        kept = last_tangent(begun) if self.inertia else state.kept
         return ImplicitAttempt(
             x, v, p, acceleration, errors[1], cause, order, next_h, next_order, factor, kept,
-            begun.iterations, begun.linear, begun.factors, begun.restores,
+            begun.iterations, begun.linear, begun.factors,
         )  # fmt: skip
 
     def _newton_share(self, state: State) -> Scalar:

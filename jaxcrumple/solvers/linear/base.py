@@ -42,6 +42,9 @@ class AbstractLinearSolver(eqx.Module):
     exact: eqx.AbstractClassVar[bool]
     one_matrix: ClassVar[bool] = False
 
+    def load_library(self) -> None:
+        """Load the library that its programs call, if any; tracing does so too."""
+
     @abc.abstractmethod
     def start(self, pattern: Pattern) -> Factor:
         """Build a workspace for the pattern, with the identity matrix."""

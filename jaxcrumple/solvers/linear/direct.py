@@ -41,6 +41,10 @@ class Direct(AbstractLinearSolver):
     one_matrix: ClassVar[bool] = True
     max_iterations: int = 200
 
+    def load_library(self) -> None:
+        """Load PARDISO, which registers its functions."""
+        import pardiso_mkl_jax.primitive  # noqa: F401
+
     def start(self, pattern: Pattern) -> Factor:
         """Analyse the pattern (nested dissection)."""
         from pardiso_mkl_jax import primitive
