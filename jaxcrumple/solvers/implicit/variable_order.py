@@ -53,7 +53,7 @@ class VariableOrder(AbstractImplicit):
       because the error would add more energy than the formula dissipates.
     - `inertial_share`: share of `rtol` that the local error of a step with inertia may use. It decreases if
       drag is so weak that the errors of more than `REMEMBERED` steps add up.
-    - `newton_share`: Newton tolerance as a share of the tolerated local error.
+    - `newton_share`: Newton tolerance as a share of the tolerated local error, if drag lets no errors add up.
     - `max_order`: largest order, 1 to 5.
     - `max_iterations`: Newton iterations before a step is rejected.
     - `inertia`: whether any stage has inertia; without it, no code for inertia is compiled.
@@ -63,7 +63,7 @@ class VariableOrder(AbstractImplicit):
     linear: AbstractLinearSolver
     rho_infinity: Scalar = eqx.field(default=0.0, converter=as_float)
     inertial_share: Scalar = eqx.field(default=LOCAL_SHARE, converter=as_float)
-    newton_share: Scalar = eqx.field(default=0.0075, converter=as_float)
+    newton_share: Scalar = eqx.field(default=0.03, converter=as_float)
     inertia: bool = eqx.field(static=True, default=True)
     max_order: int = eqx.field(static=True, default=5)
     max_iterations: int = eqx.field(static=True, default=20)
@@ -92,7 +92,7 @@ class VariableOrder(AbstractImplicit):
     ) -> tuple[NewtonIteration, Factor]:
         """Solve the equations of the step."""
         step, guess = self.equations(scene, state, h)
-        tolerance = self._newton_share(state) * self._allowed(scene, state, h) * scene.length_scale
+        tolerance = self._newton_share(scene, state, h) * self._allowed(scene, state, h) * scene.length_scale
         return go_on(scene, step, guess, begun, self.linear, factor, tolerance, self.max_iterations)
 
     def is_over(self, begun: NewtonIteration) -> Flag:
@@ -129,12 +129,13 @@ class VariableOrder(AbstractImplicit):
             begun.iterations, begun.linear, begun.factors,
         )  # fmt: skip
 
-    def _newton_share(self, state: State) -> Scalar:
-        """Return `newton_share`, reduced for formulas that conserve energy."""
+    def _newton_share(self, scene: Scene, state: State, h: Scalar) -> Scalar:
+        """Return `newton_share`, less for formulas that conserve energy, and if errors of many steps add up:
+        those of Newton's method have one sign, so that their sum grows faster than that of local errors."""
         if not self.inertia:
             return self.newton_share
-        conserves = (state.stage == IMPLICIT) & (self.rho_infinity > 0)
-        return jnp.where(conserves, CONSERVING * self.newton_share, self.newton_share)
+        reduced = jnp.where(self.rho_infinity > 0, CONSERVING, jnp.sqrt(_remembered(scene, h)))
+        return jnp.where(state.stage == IMPLICIT, reduced, 1.0) * self.newton_share
 
     def _formula(self, scene: Scene, state: State, h: Scalar) -> "_Formula":
         orders = self._orders(scene, state, h)
