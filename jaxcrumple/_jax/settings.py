@@ -23,6 +23,7 @@ def enable_compilation_cache(folder: str | Path | None = None) -> str:
     The command line does this by itself. A self-avoiding run compiles for about a minute without the cache.
     Call it at the start of a program or notebook; programs compiled before are not kept. Programs of
     `simulate` are read without tracing, unless the scene has parts that this package does not define.
+    Who can write to the folder can run code in your processes.
 
     **Arguments:** `folder`: by default that of the variable `JAX_COMPILATION_CACHE_DIR`, else
     `jaxcrumple/xla` in `XDG_CACHE_HOME` or `~/.cache`. It may be deleted between two programs.
