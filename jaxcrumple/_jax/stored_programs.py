@@ -248,8 +248,7 @@ _sources = _digest_of_sources()
 def _read(path: Path) -> _Program | None:
     """Read a program; None if there is no file, or one that cannot be used."""
     try:
-        executable, inputs, result = pickle.loads(zlib.decompress(path.read_bytes()))
-        places, rest = pickle.loads(result)
+        executable, inputs, places, rest = pickle.loads(zlib.decompress(path.read_bytes()))
         ins = jax.tree.structure(((0,) * inputs, {}))
         outs = jax.tree.structure([0] * len(jax.tree.leaves(places)))
         compiled = serialize_executable.deserialize_and_load(
@@ -266,14 +265,16 @@ def _write(path: Path, program: _Program, inputs: int) -> None:
     """Store a program, unless it cannot be told or there is no space; drop the files not used for longest."""
     try:
         executable = serialize_executable.serialize(program.compiled)[0]
-        content = pickle.dumps((executable, inputs, pickle.dumps((program.places, program.rest))))
+        content = pickle.dumps((executable, inputs, program.places, program.rest))
     except (ValueError, TypeError, AttributeError, pickle.PicklingError, jax.errors.JaxRuntimeError):
         return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-            file.write(zlib.compress(content, 1))
-        os.replace(file.name, path)
+        # A folder of its own, because several processes may write the same program.
+        with tempfile.TemporaryDirectory(dir=path.parent) as place:
+            begun = Path(place, path.name)
+            begun.write_bytes(zlib.compress(content, 1))
+            os.replace(begun, path)
         files = sorted(path.parent.glob(f"*{SUFFIX}"), key=lambda file: file.stat().st_mtime)
         for old in files[:-KEPT]:
             old.unlink(missing_ok=True)
