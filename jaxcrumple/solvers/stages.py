@@ -125,13 +125,14 @@ def logged(
 def _changed(state: State, handover: Handover) -> State:
     """Return the state at the start of a stage.
 
-    Implicit stages share the history; the history restarts after an explicit stage."""
+    Stages with inertia and quasistatic stages share the history; it restarts in a quasistatic stage after an
+    explicit one, whose velocities do not balance the forces."""
     explicit = handover.stage == EXPLICIT
     # A history that mixes points with and without inertia supports order 2 at most at first.
     kept = eqx.tree_at(lambda y: y.order, state.history, jnp.minimum(state.history.order, 2))
     fresh = restart_history(state.x, state.v, state.p)
-    ended = select(explicit, state.history, kept)
-    history = select(state.stage == EXPLICIT, fresh, ended)
+    restarts = (state.stage == EXPLICIT) & (handover.stage == QUASISTATIC)
+    history = select(restarts, fresh, kept)
     monitor = state.monitor
     tried = jnp.where(monitor.steps < FUTILE, monitor.futile + 1, 0)
     futile = jnp.where(state.stage == EXPLICIT, monitor.futile, tried)
