@@ -10,7 +10,6 @@ from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float, is_number
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.explicit.base import AbstractExplicit
-from jaxcrumple.solvers.explicit.runge_kutta import RungeKutta
 from jaxcrumple.solvers.explicit.stability import beside_walls, fastest, wall_stiffness
 from jaxcrumple.solvers.explicit.verlet import Verlet
 from jaxcrumple.solvers.implicit.base import AbstractImplicit
@@ -149,7 +148,12 @@ def integrator(
     solver = choose_linear_solver(linear)
     tolerance, rho = jnp.asarray(float(rtol)), jnp.asarray(float(rho_infinity))
     switch = switch or switch_of(scheme, rtol)
-    explicit = RungeKutta(tolerance) if scheme in ("explicit", "paper") else Verlet(tolerance)
+    explicit: AbstractExplicit = Verlet(tolerance)
+    if scheme in ("explicit", "paper"):
+        # Diffrax takes 0.3 s to import, and the default scheme does not need it once it is compiled.
+        from jaxcrumple.solvers.explicit.runge_kutta import RungeKutta
+
+        explicit = RungeKutta(tolerance)
     if scheme == "paper":
         return Integrator(
             (QUASISTATIC, EXPLICIT), BDFPair(tolerance, solver), explicit, switch, max_step=max_step
