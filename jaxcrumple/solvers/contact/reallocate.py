@@ -9,7 +9,7 @@ from jaxtyping import Array, ArrayLike, Bool, Int
 from jaxcrumple._jax.arrays import HingeValues, NodeVectors, NodeVectorsLike, Scalar
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.program_cache import make_room
-from jaxcrumple._jax.stored_programs import StoredJit
+from jaxcrumple._jax.stored_programs import StoredJit, forget_programs
 from jaxcrumple._jax.tree import as_array, is_known
 from jaxcrumple.assembly.merged_matrix import Merger
 from jaxcrumple.contact.adjacency import PLACED_TURN, largest_turn
@@ -108,6 +108,7 @@ class Reallocation:
         The candidates grow only after an overflow.
         """
         make_room("lists", self.capacity)  # for the program with the new capacities
+        forget_programs()  # those with the old ones; they can be read again
         sizes = zip(self.capacity, needed[:3], strict=True)
         self._enlarge(max(doubled(size, int(SOON * much)) // size for size, much in sizes))
         self.places = max(self.places, PLACES * self.capacity.triangles)
