@@ -16,8 +16,9 @@ from jaxtyping import Array, Bool, Int
 from jaxcrumple._jax.arrays import Count
 from jaxcrumple._jax.door import own_modes
 
-# Row length of the two-stage cumulative sum in `counted`.
-SIDE = 32
+# Row length of the cumulative sum in `counted`, and most rows that one matrix product sums: its matrix must
+# fit in the processor's cache.
+SIDE, MOST_ROWS = 32, 256
 
 
 def accumulate(
@@ -197,9 +198,14 @@ def filled(value: Callable[[Int[Array, " chunk"]], Any], count: Count, size: int
 def counted(numbers: Int[Array, " entries"] | Bool[Array, " entries"]) -> Int[Array, " entries"]:
     """Return the inclusive cumulative sum (m,) of small integers or flags `numbers` (m,).
 
-    Matrix products sum within rows of SIDE numbers, and over the rows before.
+    Matrix products sum within rows of SIDE numbers, and over the rows before; the sums of many rows are
+    summed in the same way.
     """
     rows = jnp.pad(numbers, (0, -numbers.size % SIDE)).reshape(-1, SIDE).astype(jnp.float32)
     within = rows @ jnp.triu(jnp.ones((SIDE, SIDE), jnp.float32))
-    before = jnp.tril(jnp.ones((len(rows), len(rows)), jnp.float32), -1) @ within[:, -1]
+    sums = within[:, -1]
+    if len(rows) > MOST_ROWS:
+        before = counted(sums.astype(jnp.int32)).astype(jnp.float32) - sums
+    else:
+        before = jnp.tril(jnp.ones((len(rows), len(rows)), jnp.float32), -1) @ sums
     return (within + before[:, None]).reshape(-1)[: numbers.size].astype(jnp.int32)

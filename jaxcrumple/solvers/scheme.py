@@ -128,11 +128,11 @@ def integrator(
     - `rho_infinity`: spectral radius at infinite frequency of implicit steps with inertia, from 0 to 1: the
       share of such a mode's amplitude that one step leaves.
 
-    **Raises:** ValueError for a tolerance outside (0, 0.1), a step limit that is not positive, an unknown
+    **Raises:** ValueError for a tolerance outside (0, 1), a step limit that is not positive, an unknown
     scheme, linear solver or switch, or an order or `rho_infinity` out of range.
     """
-    if isinstance(rtol, str) or not 0 < rtol < 0.1:
-        raise ValueError(f"rtol = {rtol!r} must be a number between 0 and 0.1; 1e-2 is a good start.")
+    if isinstance(rtol, str) or not 0 < rtol < 1:
+        raise ValueError(f"rtol = {rtol!r} must be a number between 0 and 1; 1e-2 is a good start.")
     if isinstance(max_step, str) or not max_step > 0:
         raise ValueError(f"max_step = {max_step!r} s must be positive; leave it out for no limit.")
     if max_order not in (1, 2, 3, 4, 5):

@@ -73,6 +73,8 @@ class Reallocation:
         needed = np.asarray(listing.needed)
         if needed.any():
             lists = self.grown(lists, needed)
+            # The programs with the old capacities take as much memory as the new ones, and can be read again.
+            forget_programs()
         if bool(listing.stale) or _places_of(lists) < self.places:
             lists = self.placed(lists, listing.matrix)
         fits = lists.pairs.capacity == self.capacity
@@ -108,7 +110,6 @@ class Reallocation:
         The candidates grow only after an overflow.
         """
         make_room("lists", self.capacity)  # for the program with the new capacities
-        forget_programs()  # those with the old ones; they can be read again
         sizes = zip(self.capacity, needed[:3], strict=True)
         self._enlarge(max(doubled(size, int(SOON * much)) // size for size, much in sizes))
         self.places = max(self.places, PLACES * self.capacity.triangles)
