@@ -181,18 +181,19 @@ def filled(value: Callable[[Int[Array, " chunk"]], Any], count: Count, size: int
 
     `value` takes places (chunk,) and returns a tree of columns (chunk,). Entries after the last chunk are 0.
     """
+    chunk = min(chunk, size)
 
     def body(carry: tuple[Count, Any]) -> tuple[Count, Any]:
         first, columns = carry
-        part = value(_places(first, count, size, chunk)[0])
-        put = partial(jax.lax.dynamic_update_slice_in_dim, start_index=first, axis=0)
-        return first + chunk, jax.tree.map(put, columns, part)
+        # The last chunk overlaps the one before it if it would reach beyond the end.
+        here = jnp.minimum(first, size - chunk)
+        put = partial(jax.lax.dynamic_update_slice_in_dim, start_index=here, axis=0)
+        return first + chunk, jax.tree.map(put, columns, value(here + jnp.arange(chunk)))
 
     kinds = jax.eval_shape(value, jax.ShapeDtypeStruct((chunk,), int))
-    start = jnp.asarray(0), jax.tree.map(lambda kind: jnp.zeros(size + chunk, kind.dtype), kinds)
+    start = jnp.asarray(0), jax.tree.map(lambda kind: jnp.zeros(size, kind.dtype), kinds)
     many = jnp.minimum(count, size)
-    columns = jax.lax.while_loop(lambda carry: carry[0] < many, body, start)[1]
-    return jax.tree.map(lambda column: column[:size], columns)
+    return jax.lax.while_loop(lambda carry: carry[0] < many, body, start)[1]
 
 
 def counted(numbers: Int[Array, " entries"] | Bool[Array, " entries"]) -> Int[Array, " entries"]:
