@@ -42,10 +42,12 @@ def fold_size(area: float, radius: float) -> float:
 
 
 def folds(config: RunConfig, nodes: int) -> list[str]:
-    """Compare the folds at the end of a run with the edges of the mesh, in a line; none without a sphere."""
-    entry, options = scene_entry(config.scene), config.options
-    radius = entry.confines(options, config.t_end)
-    if not math.isfinite(radius):
+    """Compare the folds at the end of a run with the edges of the mesh, in one line.
+
+    Return none without a sphere, or for a phantom sheet, whose layers need no room."""
+    options = config.options
+    radius = scene_entry(config.scene).confines(options, config.t_end)
+    if not math.isfinite(radius) or options["contact"] is None:
         return []
     area = options["size"] ** 2
     size, edge = fold_size(area, radius), math.sqrt(area / (TRIANGLES * TRIANGLE * nodes))

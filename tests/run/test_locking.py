@@ -45,5 +45,6 @@ def test_check_compares_folds_and_edges(scene, nodes, t_end, radius):
 
 def test_other_scenes_and_a_sphere_that_rests_say_nothing_new():
     assert folds(configure("cylindrical"), 1000) == []
+    assert folds(configure("radial", settings=["contact=none"]), 1000) == []
     (line,) = folds(configure("radial", t_end=6.0, settings=["hold=2 s"]), 1000)
     assert "at R = 51 mm" in line
