@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxcrumple._jax.arrays import HingeValues, NodeValues, Scalar
 from jaxcrumple._jax.door import door, own_modes
-from jaxcrumple._jax.tree import is_known, require_finite, require_numbers, shown
+from jaxcrumple._jax.tree import as_array, is_known, require_finite, require_numbers, shown
 from jaxcrumple.assembly.contact_blocks import ContactBlocks
 from jaxcrumple.assembly.sparsity import Pattern, build_pattern
 from jaxcrumple.contact.lists import ContactLists
@@ -194,10 +194,10 @@ def sheet(
     if like is not None:
         _check_alike(mesh, contact, extra, like)
     constants = material.discretize(mesh)
-    edges, hinges = jnp.asarray(mesh.edges), jnp.asarray(mesh.hinges)
-    mass = jnp.asarray(constants.mass)
-    b_int = jnp.asarray(constants.b_int)
-    rest_length = jnp.asarray(mesh.edge_length)
+    edges, hinges = as_array(mesh.edges), as_array(mesh.hinges)
+    mass = as_array(constants.mass)
+    b_int = as_array(constants.b_int)
+    rest_length = as_array(mesh.edge_length)
     dashpot: AbstractDashpot | None
     if not _is_present(constants.b_int):
         dashpot = None
@@ -206,8 +206,8 @@ def sheet(
     else:
         dashpot = PaperDashpot(edges, b_int, rest_length)
     if plasticity is None and constants.c0 is not None:
-        c0 = jnp.asarray(constants.c0)
-        plasticity = SmoothstepFlow(c0, jnp.asarray(constants.plastic_time), jnp.asarray(constants.gamma))
+        c0 = as_array(constants.c0)
+        plasticity = SmoothstepFlow(c0, as_array(constants.plastic_time), as_array(constants.gamma))
     if like is None:
         stencils = [mesh.edges, mesh.hinges, *(np.asarray(e.nodes) for e in extra)]
         pattern = build_pattern(mesh.vertices, stencils, None if contact is None else mesh.faces)
@@ -215,17 +215,17 @@ def sheet(
         pattern = like.pattern
     return Scene(
         mass=mass,
-        area=jnp.asarray(mesh.area),
-        reference_acceleration=jnp.asarray(constants.a_ref),
+        area=as_array(mesh.area),
+        reference_acceleration=as_array(constants.a_ref),
         velocity_scale=_velocity_scale(mesh, material),
-        membrane=Membrane(edges, jnp.asarray(constants.ks), rest_length),
+        membrane=Membrane(edges, as_array(constants.ks), rest_length),
         bending=Bending(
             hinges,
-            jnp.asarray(constants.kb * mesh.hinge_weight),
-            jnp.asarray(mesh.rest_curvature),
+            as_array(constants.kb * mesh.hinge_weight),
+            as_array(mesh.rest_curvature),
         ),
         plasticity=plasticity,
-        drag=Drag(jnp.asarray(constants.drag)) if _is_present(constants.drag) else None,
+        drag=Drag(as_array(constants.drag)) if _is_present(constants.drag) else None,
         damping=dashpot,
         walls=tuple(_wall(w, mesh, constants) for w in walls),
         gravity=None if gravity is None else Gravity(jnp.asarray(gravity, float), mass),
@@ -272,7 +272,7 @@ def _wall(wall: Wall | AbstractShape, mesh: Mesh, constants: ModelConstants) -> 
     if isinstance(wall, Wall):
         return wall
     share = WALL_SHARE * constants.ks.mean() * WALL_NODES / mesh.area
-    return Wall(wall, jnp.asarray(share * mesh.node_area), jnp.asarray(constants.sigma))
+    return Wall(wall, as_array(share * mesh.node_area), as_array(constants.sigma))
 
 
 def _velocity_scale(mesh: Mesh, material: Material) -> Scalar:
@@ -282,8 +282,8 @@ def _velocity_scale(mesh: Mesh, material: Material) -> Scalar:
     the scale is the speed of sound in the sheet.
     """
     if _is_present(material.drag_rate):
-        return jnp.asarray(np.sqrt(mesh.area) * material.drag_rate)
-    return jnp.sqrt(jnp.asarray(material.young_modulus / material.density))
+        return as_array(np.sqrt(mesh.area) * material.drag_rate)
+    return jnp.sqrt(as_array(material.young_modulus / material.density))
 
 
 def _is_present(values: Any) -> bool:

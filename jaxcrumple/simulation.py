@@ -263,7 +263,7 @@ class _Budget:
 
 def _attempts(state: State) -> int:
     counters = state.counters
-    return int(np.sum(counters.steps)) + int(np.sum(counters.rejected))
+    return int(np.asarray(counters.steps).sum() + np.asarray(counters.rejected).sum())
 
 
 def _compile(scene: Scene, state: State, solver: Integrator, recorder: StepRecorder | None) -> float:
@@ -311,7 +311,7 @@ def _advance(
             state = eqx.tree_at(lambda s: s.result, state, RESULTS.budget)
         else:
             state, log = _called(scene, state, as_float(t_stop), solver, as_float(left), recorder)
-            rows.append(np.asarray(log.rows[: int(log.length)]))
+            rows.append(np.asarray(log.rows)[: int(log.length)].copy())
             waits = waits + 1 if _attempts(state) == made else 0
         if waits > MOST_WAITS and _name(state) == "success":
             state = eqx.tree_at(lambda s: s.result, state, RESULTS.collapsed)

@@ -187,13 +187,18 @@ def initial_state(
         raise ValueError(f"window = {window!r} must be at least 1 step.")
     require(8.0 * window, f"a monitor of {window} steps", "choose a shorter window")
     x = as_float(x)
-    v = jnp.zeros_like(x) if v is None else as_float(v)
+    v = as_float(np.zeros(x.shape)) if v is None else as_float(v)
     for name, value in (("x", x), ("v", v)):
         check_positions(name, value, scene.n_nodes)
-    nought = jnp.asarray(0.0, float)
-    _check_supports(scene, x, nought)
+    _check_supports(scene, x, as_float(0.0))
+    return _first_state(scene, x, v, int(window), ledger)
+
+
+@StoredJit
+def _first_state(scene: Scene, x: NodeVectors, v: NodeVectors, window: int, ledger: bool) -> State:
+    """Return the state at t = 0."""
     # Explicit types, because weakly typed leaves make the second call of a program compile again.
-    zero = jnp.asarray(0, int)
+    nought, zero = jnp.asarray(0.0, float), jnp.asarray(0, int)
     p = None if scene.plasticity is None else scene.bending.rest_curvature
     slopes, history, kept, listing = _memory(scene, x, v, p)
     return State(
@@ -222,7 +227,6 @@ def fresh_monitor(window: int, futile: Count | int = 0) -> Monitor:
     return Monitor(jnp.zeros(window), zero, jnp.asarray(0.0, float), jnp.asarray(False), futile)
 
 
-@StoredJit
 def _memory(
     scene: Scene, x: NodeVectors, v: NodeVectors, p: HingeValues | None
 ) -> tuple[Slopes, History, Linearization, Listing | None]:

@@ -58,7 +58,7 @@ def test_switches(options, message):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"rtol": "1e-4"}, "rtol = '1e-4' must be a number between 0 and 0.1"),
+        ({"rtol": "1e-4"}, "rtol = '1e-4' must be a number between 0 and 1"),
         ({"rtol": np.nan}, "rtol = nan must be a number"),
         ({"rtol": -1e-4}, "rtol = -0.0001 must be"),
         ({"max_step": "1"}, "max_step = '1' s must be positive"),

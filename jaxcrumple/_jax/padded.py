@@ -16,8 +16,9 @@ from jaxtyping import Array, Bool, Int
 from jaxcrumple._jax.arrays import Count
 from jaxcrumple._jax.door import own_modes
 
-# Row length of the two-stage cumulative sum in `counted`.
-SIDE = 32
+# Row length of the cumulative sum in `counted`, and most rows that one matrix product sums: its matrix must
+# fit in the processor's cache.
+SIDE, MOST_ROWS = 32, 256
 
 
 def accumulate(
@@ -180,26 +181,32 @@ def filled(value: Callable[[Int[Array, " chunk"]], Any], count: Count, size: int
 
     `value` takes places (chunk,) and returns a tree of columns (chunk,). Entries after the last chunk are 0.
     """
+    chunk = min(chunk, size)
 
     def body(carry: tuple[Count, Any]) -> tuple[Count, Any]:
         first, columns = carry
-        part = value(_places(first, count, size, chunk)[0])
-        put = partial(jax.lax.dynamic_update_slice_in_dim, start_index=first, axis=0)
-        return first + chunk, jax.tree.map(put, columns, part)
+        # The last chunk overlaps the one before it if it would reach beyond the end.
+        here = jnp.minimum(first, size - chunk)
+        put = partial(jax.lax.dynamic_update_slice_in_dim, start_index=here, axis=0)
+        return first + chunk, jax.tree.map(put, columns, value(here + jnp.arange(chunk)))
 
     kinds = jax.eval_shape(value, jax.ShapeDtypeStruct((chunk,), int))
-    start = jnp.asarray(0), jax.tree.map(lambda kind: jnp.zeros(size + chunk, kind.dtype), kinds)
+    start = jnp.asarray(0), jax.tree.map(lambda kind: jnp.zeros(size, kind.dtype), kinds)
     many = jnp.minimum(count, size)
-    columns = jax.lax.while_loop(lambda carry: carry[0] < many, body, start)[1]
-    return jax.tree.map(lambda column: column[:size], columns)
+    return jax.lax.while_loop(lambda carry: carry[0] < many, body, start)[1]
 
 
 def counted(numbers: Int[Array, " entries"] | Bool[Array, " entries"]) -> Int[Array, " entries"]:
     """Return the inclusive cumulative sum (m,) of small integers or flags `numbers` (m,).
 
-    Matrix products sum within rows of SIDE numbers, and over the rows before.
+    Matrix products sum within rows of SIDE numbers, and over the rows before; the sums of many rows are
+    summed in the same way.
     """
     rows = jnp.pad(numbers, (0, -numbers.size % SIDE)).reshape(-1, SIDE).astype(jnp.float32)
     within = rows @ jnp.triu(jnp.ones((SIDE, SIDE), jnp.float32))
-    before = jnp.tril(jnp.ones((len(rows), len(rows)), jnp.float32), -1) @ within[:, -1]
+    sums = within[:, -1]
+    if len(rows) > MOST_ROWS:
+        before = counted(sums.astype(jnp.int32)).astype(jnp.float32) - sums
+    else:
+        before = jnp.tril(jnp.ones((len(rows), len(rows)), jnp.float32), -1) @ sums
     return (within + before[:, None]).reshape(-1)[: numbers.size].astype(jnp.int32)

@@ -143,7 +143,7 @@ jax.monitoring.register_event_listener(_hits)
 
 
 def forget_programs() -> None:
-    """Drop the programs in memory; those in files stay."""
+    """Drop the programs in memory that were kept in files; the files stay."""
     for one in _all:
         one.programs.clear()
 

@@ -5,12 +5,23 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Integer, Real
+from jax.typing import DTypeLike
+from jaxtyping import Array, ArrayLike, Float, Integer, Real, Shaped
 
 from jaxcrumple._jax.arrays import Flag
 
 # Most characters of a wrong value that a message quotes.
 QUOTED = 80
+
+
+def as_array(value: Shaped[ArrayLike, " *axes"], dtype: DTypeLike | None = None) -> Shaped[Array, " *axes"]:
+    """Convert numbers to an array of JAX, without compiling.
+
+    `jnp.asarray` compiles a program for every shape of a NumPy array.
+    """
+    if isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "biuf":
+        return jax.device_put(np.asarray(value, dtype), may_alias=False)
+    return jnp.asarray(value, dtype)
 
 
 def as_float(value: Real[ArrayLike, " *axes"]) -> Float[Array, " *axes"]:
@@ -22,7 +33,7 @@ def as_float(value: Real[ArrayLike, " *axes"]) -> Float[Array, " *axes"]:
     """
     with jax.transfer_guard("allow"):
         try:
-            return jnp.asarray(value, float)
+            return as_array(np.float64(value) if isinstance(value, int | float) else value, float)
         except (TypeError, ValueError) as error:
             if not is_known(value):
                 raise
@@ -40,7 +51,7 @@ def as_numbers(what: str, value: Integer[ArrayLike, " *axes"]) -> Integer[Array,
     if is_known(given) and np.any(np.asarray(given) < 0):
         raise ValueError(f"{what} holds {np.min(np.asarray(given))}; nodes are numbered from 0 on.")
     with jax.transfer_guard("allow"):
-        return jnp.asarray(given)
+        return as_array(given)
 
 
 def is_known(*values: Any) -> bool:

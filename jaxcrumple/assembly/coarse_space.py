@@ -1,9 +1,10 @@
 """A smooth coarse space on the reference sheet: tensor-product cubic B-splines over its nodes."""
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+
+from jaxcrumple._jax.tree import as_array
 
 # Number of functions along one direction that overlap a cell, and that overlap it or an adjacent cell.
 SUPPORT, WINDOW = 4, 6
@@ -55,11 +56,11 @@ def build_coarse_space(rest: Float[np.ndarray, "nodes 3"], pairs: Int[np.ndarray
     members, place = _members(owner.reshape(-1), len(occupied), len(points))
 
     def device(a: Int[np.ndarray, " *axes"]) -> Int[Array, " *axes"]:
-        return jnp.asarray(a.astype(np.int32))
+        return as_array(a.astype(np.int32))
 
     return CoarseSpace(
         device(cell),
-        jnp.asarray(weights),
+        as_array(weights),
         device(members),
         device(place),
         device(_numbers(corner, 0, SUPPORT, functions_per_side)),

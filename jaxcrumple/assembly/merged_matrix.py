@@ -1,10 +1,10 @@
 """The merged matrix: the structure of sheet and contact in one matrix, built on the host."""
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
 from jaxcrumple._jax.memory import require, require_indices
+from jaxcrumple._jax.tree import as_array
 from jaxcrumple.assembly.contact_blocks import SIZE
 from jaxcrumple.assembly.sparsity import Pattern, scalar_entries
 from jaxcrumple.contact.lists import NONE, SOON, MatrixPairs, doubled, pair_key
@@ -66,4 +66,4 @@ class Merger:
         # NumPy, because JAX would compile this for every number of pairs.
         pairs[: len(triangles)] = pair_key(triangles, len(self.faces))
         arrays = (indptr, indices[:-1], place, pairs, cross)
-        return MatrixPairs(*map(jnp.asarray, arrays))
+        return MatrixPairs(*map(as_array, arrays))

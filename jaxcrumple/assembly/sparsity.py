@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxcrumple._jax.memory import require, require_indices
+from jaxcrumple._jax.tree import as_array
 from jaxcrumple.assembly.coarse_space import CoarseSpace, build_coarse_space
 from jaxcrumple.assembly.contact_blocks import ContactBlocks
 from jaxcrumple.model.elements import upper_pairs
@@ -158,11 +159,11 @@ def build_pattern(
     neighbors, row_entries = _rows(n, block_row, block_col, entries)
 
     def device(a: Int[np.ndarray, " *axes"]) -> Int[Array, " *axes"]:
-        return jnp.asarray(a.astype(np.int32))
+        return as_array(a.astype(np.int32))
 
     return Pattern(
         device(indptr), device(indices), device(order), device(diagonal), device(places), device(node_blocks),
-        tuple(device(locate(p)) for p in pairs), tuple(jnp.asarray(p[..., 0] > p[..., 1]) for p in pairs),
+        tuple(device(locate(p)) for p in pairs), tuple(as_array(p[..., 0] > p[..., 1]) for p in pairs),
         device(neighbors), device(row_entries),
         build_coarse_space(rest, np.stack([block_row, block_col], axis=1)),
         None if faces is None else device(locate(np.asarray(faces)[:, np.array(upper_pairs(3))])),

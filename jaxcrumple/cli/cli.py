@@ -390,6 +390,8 @@ def _plot(folder: Path) -> list[Path]:
 
 
 def _report(summary: dict) -> None:
+    from jaxcrumple.run.locking import locking
+
     steps, share, energy = summary["steps"], summary["dynamic_share"], summary["energy"]
     lines = [
         f"result: {summary['result']} ({summary['message']})",
@@ -404,5 +406,7 @@ def _report(summary: dict) -> None:
         f"wall penetration {summary['max_wall_penetration'] * 1e6:.3g} um; "
         f"creases {summary['crease_length'] * 100:.3g} cm",
     ]
+    if locks := locking(energy):
+        lines.append(f"{locks}, as its edges are too long to fold so tightly; give more nodes, or end before")
     for line in lines:
         say(line)

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxcrumple._jax.arrays import Count, HingeValues, Scalar
 from jaxcrumple._jax.memory import require
+from jaxcrumple._jax.tree import as_array
 from jaxcrumple.mesh.mesh import Mesh
 
 # Bytes of a way around a node during construction, and of a hinge in the table of all nodes.
@@ -88,7 +89,7 @@ def build_fans(mesh: Mesh) -> Fans:
                 ends.append((first + begin, first + (end if straight else begin)))
     triangles, places = (np.array(part, int).reshape(-1, 2) for part in (pairs, ends))
     longest = np.max(places[:, 1] - places[:, 0], initial=0)
-    return Fans(*(jnp.asarray(part, jnp.int32) for part in (triangles, hinges, places, longest)))
+    return Fans(*(as_array(part, jnp.int32) for part in (triangles, hinges, places, longest)))
 
 
 def _corner_angles(mesh: Mesh) -> Float[np.ndarray, "faces 3"]:

@@ -2,12 +2,12 @@
 
 import itertools
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from jaxcrumple._jax.stored_programs import StoredJit
+from jaxcrumple._jax.tree import as_array
 from jaxcrumple.contact.adjacency import LISTED_TURN, Fans
 from jaxcrumple.contact.lists import EXCLUSION
 from jaxcrumple.contact.parameters import Contact
@@ -80,7 +80,7 @@ class Search:
         a, b, c, d = (x[self.hinges[:, k]] for k in range(4))
         n1, n2 = np.cross(b - a, c - a), np.cross(d - a, b - a)
         angle = np.arctan2(np.linalg.norm(np.cross(n1, n2), axis=1), np.einsum("ij,ij->i", n1, n2))
-        return np.asarray(_turning(self.fans, jnp.asarray(angle))) > turn
+        return np.asarray(_turning(self.fans, as_array(angle))) > turn
 
 
 def _tree_pairs(

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxcrumple._jax.arrays import NodeVectors, Scalar
-from jaxcrumple._jax.tree import as_float, is_known
+from jaxcrumple._jax.tree import as_array, as_float, is_known
 from jaxcrumple.contact.adjacency import Fans, build_fans
 from jaxcrumple.contact.potentials import AbstractPairPotential, Barrier, InversePower, Penalty, Potential
 from jaxcrumple.contact.sites import build_sites, require_candidates, require_sites, site_density
@@ -106,15 +106,15 @@ def build_contact(
         require_sites(len(mesh.faces), level, float(sigma), chosen=options.level is not None)
         require_candidates(mesh, float(sigma))
         sites, fans = build_sites(level), build_fans(mesh)
-        weights, share, place = map(jnp.asarray, sites)
+        weights, share, place = map(as_array, sites)
         potential = _potential(options.potential, mesh, level)
     else:
         weights, share, place, fans = like.weights, like.share, like.place, like.fans
         potential = like.potential
     least = 0.5 * (CALM * mesh.hinge_height.min() - sigma)
     return Contact(
-        faces=jnp.asarray(mesh.faces, jnp.int32),
-        rest=jnp.asarray(mesh.vertices),
+        faces=as_array(mesh.faces, jnp.int32),
+        rest=as_array(mesh.vertices),
         weights=weights,
         share=share,
         place=place,

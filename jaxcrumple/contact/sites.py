@@ -2,13 +2,13 @@
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.spatial import cKDTree
 
 from jaxcrumple._jax.arrays import Scalar
 from jaxcrumple._jax.memory import require, require_indices, times_that_fit
+from jaxcrumple._jax.tree import as_array
 from jaxcrumple.mesh.mesh import Mesh
 
 # Bytes per site of one triangle while the lattice is built, per site pair in the lists with their copies, and
@@ -60,7 +60,7 @@ def site_density(mesh: Mesh, sigma: Scalar | float) -> Float[Array, "faces 7"]:
     valence = np.bincount(mesh.faces.reshape(-1), minlength=mesh.n_nodes)
     ends = np.isin(mesh.faces, mesh.boundary_nodes)
     factor[:, 4:] = np.where(ends, 6.0 / valence[mesh.faces], 1.0)
-    return jnp.asarray(factor * (mesh.face_area / (np.sqrt(3.0) / 2.0))[:, None] / sigma**2)
+    return as_array(factor * (mesh.face_area / (np.sqrt(3.0) / 2.0))[:, None] / sigma**2)
 
 
 def require_sites(faces: int, level: int, sigma: float, *, chosen: bool) -> None:

@@ -106,8 +106,9 @@ def hinge(x0: Vec, x1: Vec, x2: Vec, x3: Vec) -> Hinge:
     # (n1 x n2).e0_hat = -|e0| (n2.e1): one product instead of a cross product (eq. 30).
     sine, cosine = -edge_length * dot(n2, e1), dot(n1, n2)
     size = jnp.sqrt(sine * sine + cosine * cosine)
-    # At 180 degrees the sum is zero up to rounding, of either sign.
-    above = jnp.maximum(size + cosine, EPSILON * size)
+    # The sum of size and cosine, without cancellation where the cosine is negative; not 0 at 180 degrees.
+    larger = size + jnp.abs(cosine)
+    above = jnp.maximum(jnp.where(cosine > 0, larger, sine * sine / larger), EPSILON * size)
     bent, slope = sine * jnp.sqrt(2.0 / (size * above)), jnp.sqrt(0.5 * above / size)
     return Hinge(e0, e1, e2, n1, n2, edge_length, jnp.arctan2(sine, cosine), bent, slope)
 

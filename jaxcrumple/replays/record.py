@@ -120,7 +120,7 @@ class StepRecorder:
         for index, (_, made) in enumerate(self.frames):
             if made:
                 frame[made - 1] = index
-        past, t = _past_steps(self.start, stage, h), np.append(float(self.start.t), end[:-1])
+        past, t = _past_steps(self.start, h), np.append(float(self.start.t), end[:-1])
         parts = [_in_stretches(part) for part in (t, h, stage, order, past, frame, x)]
         valid = np.arange(parts[0].size).reshape(parts[0].shape) < len(h)
         parts[-2][~valid] = len(self.frames)
@@ -144,20 +144,10 @@ class StepRecorder:
         )
 
 
-def _past_steps(
-    start: State, stage: Int[np.ndarray, " steps"], h: Float[np.ndarray, " steps"]
-) -> Float[np.ndarray, "steps points"]:
+def _past_steps(start: State, h: Float[np.ndarray, " steps"]) -> Float[np.ndarray, "steps points"]:
     """Return the sizes (k, 6) in s of the steps before each step, newest first, as in the run's history."""
-    past, before = np.array(start.history.steps), int(start.stage)
-    rows = np.empty((len(h), HISTORY))
-    for k, (here, size) in enumerate(zip(stage, h, strict=True)):
-        if before == EXPLICIT != here:
-            past = np.ones(HISTORY)
-        rows[k] = past
-        if here != EXPLICIT:
-            past = np.concatenate([[size], past[:-1]])
-        before = here
-    return rows
+    sizes = np.concatenate([np.array(start.history.steps)[::-1], h])
+    return np.lib.stride_tricks.sliding_window_view(sizes, HISTORY)[:-1, ::-1]
 
 
 def _in_stretches(part: Shaped[np.ndarray, " entries *axes"]) -> Shaped[np.ndarray, "stretches steps *axes"]:

@@ -5,12 +5,14 @@ from jaxcrumple.mesh.isotropy import patch_test
 from jaxcrumple.run.balance import Balance, start_balance
 from jaxcrumple.run.config import RunConfig
 from jaxcrumple.run.estimate import estimate, file_mesh, require_config
+from jaxcrumple.run.locking import folds
 from jaxcrumple.scenes.functions import scene_entry
 from jaxcrumple.state import initial_state
 
 
 def described(config: RunConfig) -> list[str]:
-    """Describe scene, sheet, walls, contact, material, solver, end time and estimated cost, one per line.
+    """Describe scene, sheet, walls, contact, material, solver, end time, folds and estimated cost, one per
+    line.
 
     `check_built` covers what only the built scene shows, such as a wall that leaves no room for the sheet.
 
@@ -32,6 +34,7 @@ def described(config: RunConfig) -> list[str]:
         f"material: {_material(config)}",
         f"solver: {solver.scheme}, rtol {solver.rtol:g}",
         f"until: t = {config.t_end:g} s, in {config.frames} frames",
+        *folds(config, nodes),
         f"takes: {_taken(config, nodes)}",
     ]
 

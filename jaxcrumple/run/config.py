@@ -99,7 +99,7 @@ class SolverOptions(Options):
     """The integrator; None selects the default of the scheme, see `integrator` and `Switch`. `ledger`:
     whether to keep the work ledger, see `Work`."""
 
-    rtol: float = Field(1e-2, gt=0, lt=0.1, allow_inf_nan=False)
+    rtol: float = Field(1e-2, gt=0, lt=1.0, allow_inf_nan=False)
     scheme: Scheme = "hybrid"
     linear: LinearSolverName | None = None
     max_order: int = Field(5, ge=1, le=5)

@@ -6,6 +6,7 @@ import pandas as pd
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from jaxcrumple.run.locking import locking
 from jaxcrumple.simulation import explain
 from jaxcrumple.solvers.log import ENERGIES
 from jaxcrumple.state import STAGES, State
@@ -51,8 +52,11 @@ class ConsoleProgress:
         stage = STAGES[int(state.stage)]
         h = float(state.h_explicit if stage == "explicit" else state.h)
         why = explain(self.last, state) if self.last is not None else ""
-        energy = f"E = {history[list(ENERGIES)].iloc[-1].sum() * 1e3:.3g} mJ" if len(history) else ""
-        text = ", ".join(part for part in (stage, f"h = {h:.1e} s", energy, why) if part)
+        energy = locks = ""
+        if len(history):
+            last = history[list(ENERGIES)].iloc[-1]
+            energy, locks = f"E = {last.sum() * 1e3:.3g} mJ", locking(last.to_dict())
+        text = ", ".join(part for part in (stage, f"h = {h:.1e} s", energy, locks, why) if part)
         self.bar.update(self.task, completed=float(state.t), description=text)
         for event in events.itertuples():
             if "quasistatic" not in (event.origin, event.to):

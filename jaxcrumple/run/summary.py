@@ -13,6 +13,7 @@ from jaxcrumple.measure.creases import crease_length, folded_hinges
 from jaxcrumple.measure.intersections import count_intersections
 from jaxcrumple.measure.strain import edge_strain
 from jaxcrumple.mesh.mesh import Mesh
+from jaxcrumple.run.locking import is_locked
 from jaxcrumple.scene import Scene
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.solvers.contact.reallocate import with_contacts
@@ -39,10 +40,12 @@ def figures(setup: Setup, state: State) -> dict[str, Any]:
     x = np.asarray(state.x)
     p = np.asarray(scene.rest_curvature_of(state.p))
     parts = _energies(scene, state.x, state.v, state.p, state.t)
+    energy = {name: float(value) for name, value in parts._asdict().items()}
     strain = edge_strain(mesh, x)
     gaps = [np.min(np.asarray(wall.gap(state.x, state.t))) for wall in scene.walls]
     return {
-        "energy": {name: float(value) for name, value in parts._asdict().items()},
+        "energy": energy,
+        "locked": is_locked(energy),
         "max_edge_strain": float(np.max(np.abs(strain))),
         "high_edge_strain": float(np.quantile(np.abs(strain), 0.999)),
         "rms_edge_strain": float(np.sqrt(np.mean(strain**2))),

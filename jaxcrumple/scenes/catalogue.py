@@ -32,7 +32,9 @@ class SceneEntry(NamedTuple):
 
     `ends`: default end time in s as a function of the options; `lasts`: time in s, as a function of the
     options, that a run must end before, with the reason `why_it_ends`; `walls`: description of the walls, as
-    a function of the options; `own`: whether it is a function of the user, whose `Setup` has the end time.
+    a function of the options; `confines`: radius in m to which a sphere confines the sheet, as a function of
+    the options and the end time in s; `own`: whether it is a function of the user, whose `Setup` has the end
+    time.
     """
 
     build: Callable[..., Setup]
@@ -42,6 +44,7 @@ class SceneEntry(NamedTuple):
     lasts: OfOptions = lambda options: math.inf
     why_it_ends: str = ""
     walls: Callable[[Given], Sequence[str]] = lambda options: ()
+    confines: Callable[[Given, float], float] = lambda options, t_end: math.inf
     own: bool = False
 
     def end(self, given: Given) -> float:
@@ -62,6 +65,17 @@ def _radial_lasts(given: Given) -> float:
 def _radial_walls(given: Given) -> Sequence[str]:
     until = "" if given["hold"] is None else f" until {given['hold']:g} s"
     return (f"sphere, radius {given['radius']:g} m, shrinking at {given['speed']:g} m/s{until}",)
+
+
+def _radial_confines(given: Given, t_end: float) -> float:
+    """Return the radius in m of the sphere of `radial` at the end time `t_end` in s."""
+    last = t_end if given["hold"] is None else min(t_end, given["hold"])
+    return given["radius"] - given["speed"] * last
+
+
+def _unload_confines(given: Given, t_end: float) -> float:
+    """Return the least radius in m of the sphere of `unload` until `t_end` in s."""
+    return max(given["least"], given["radius"] - given["speed"] * t_end)
 
 
 def _way_back(given: Given) -> float:
@@ -99,6 +113,7 @@ SCENES: dict[str, SceneEntry] = {
         lasts=_radial_lasts,
         why_it_ends="when its sphere has zero radius",
         walls=_radial_walls,
+        confines=_radial_confines,
     ),
     "unload": SceneEntry(
         unload,
@@ -106,6 +121,7 @@ SCENES: dict[str, SceneEntry] = {
         _way_back,
         "square sheet in a sphere that shrinks, rests and expands again: hysteresis and springback",
         walls=_told("sphere, from {radius:g} to {least:g} m and back at {speed:g} m/s"),
+        confines=_unload_confines,
     ),
     "cylindrical": SceneEntry(
         cylindrical,

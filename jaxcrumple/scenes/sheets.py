@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from jaxcrumple._jax.memory import require
+from jaxcrumple._jax.tree import as_array
 from jaxcrumple.contact.parameters import SelfContact
 from jaxcrumple.contact.potentials import Potential
 from jaxcrumple.material.material import Material
@@ -100,7 +100,7 @@ class SheetOptions:
             damping=self.damping,
             contact=contact,
         )
-        return Setup(mesh, scene, jnp.asarray(mesh.vertices if x is None else x), contact, self.material)
+        return Setup(mesh, scene, as_array(mesh.vertices if x is None else x), contact, self.material)
 
 
 def smooth_imperfection(

@@ -5,13 +5,15 @@ from collections.abc import Iterable
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxcrumple._jax.arrays import Count, NodeVectorsLike
+from jaxcrumple._jax.arrays import Count, NodeValues, NodeVectors, NodeVectorsLike, Scalar
+from jaxcrumple._jax.stored_programs import StoredJit
 from jaxcrumple.contact.energy import closest_sites
 from jaxcrumple.contact.host_broad_phase import Search
 from jaxcrumple.contact.lists import SitePairs
 from jaxcrumple.contact.parameters import Contact
 from jaxcrumple.geometry.intersections import intersections
 from jaxcrumple.model.bending import FOLD_STOP
+from jaxcrumple.model.walls import Wall
 from jaxcrumple.scene import Scene
 from jaxcrumple.state import State
 
@@ -36,7 +38,7 @@ def pierced(scene: Scene, x: NodeVectorsLike) -> Int[np.ndarray, "places 5"]:
 
 
 def check_start(scene: Scene, state: State) -> None:
-    """Check that a run can start from a state, without compiling.
+    """Check that a run can start from a state, without compiling more than a wall's distance.
 
     **Raises:** ValueError for a node behind or on a wall, an edge without length, a triangle without area, a
     hinge at 180 degrees or, in a scene with contact, an edge that pierces a triangle. It names the first one.
@@ -49,9 +51,15 @@ def check_start(scene: Scene, state: State) -> None:
     _check_hinges(scene, x)
 
 
+@StoredJit
+def _gap(wall: Wall, x: NodeVectors, t: Scalar) -> NodeValues:
+    """Return the distance (n,) in m of nodes at `x` (n, 3) from a wall."""
+    return wall.gap(x, t)
+
+
 def _check_walls(scene: Scene, state: State) -> None:
     for index, wall in enumerate(scene.walls):
-        gap, name = np.asarray(wall.gap(state.x, state.t)), f"wall {index} ({type(wall.shape).__name__})"
+        gap, name = np.asarray(_gap(wall, state.x, state.t)), f"wall {index} ({type(wall.shape).__name__})"
         if np.any(np.isnan(gap)):
             node = int(np.argmax(np.isnan(gap)))
             raise ValueError(

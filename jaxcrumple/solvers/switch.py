@@ -44,9 +44,9 @@ class Switch(eqx.Module):
             raise ValueError(f"measure={self.measure!r} is unknown; choose one of {known}.")
         for name in ("up", "down", "dwell", "ignore", "minimum_steps"):
             value = getattr(self, name)
-            if is_known(value) and not np.all(value >= 0):
+            if is_known(value) and not np.all(np.asarray(value) >= 0):
                 raise ValueError(f"{name} = {value} of a Switch must be zero or positive.")
-        if is_known(self.up, self.down) and np.any(self.down > self.up):
+        if is_known(self.up, self.down) and np.any(np.asarray(self.down) > np.asarray(self.up)):
             raise ValueError(
                 f"down = {self.down} lies above up = {self.up}: a stage would end as soon as it began."
             )

@@ -175,7 +175,8 @@ def test_cotangents_may_be_tiny_or_nothing(slopes, gradient):
     for one, tiny, nothing in zip(jax.tree.leaves(eqx.filter(gradient, eqx.is_array)), *numbers, strict=True):
         assert np.all(np.isfinite(one))
         size = float(jnp.max(jnp.abs(one), initial=0.0))
-        np.testing.assert_allclose(1e200 * tiny, one, atol=1e-7 * size, rtol=0)
+        # The first factors of a process and later ones differ by rounding, which stiff contact amplifies.
+        np.testing.assert_allclose(1e200 * tiny, one, atol=1e-6 * size, rtol=0)
         assert not np.any(nothing)
 
 

@@ -42,7 +42,7 @@ REFUSED = [
     ({"settings": ["yield_curvature=200", "yield_c0=0.2"]}, "both set the yield point; give one"),
     ({"settings": ["mass_lumping=full"]}, "mass_lumping = 'full': Input should be 'uniform' or 'area'"),
     ({"settings": ["rtol=0"]}, "rtol = '0': Input should be greater than 0"),
-    ({"settings": ["rtol=1"]}, "rtol = '1': Input should be less than 0.1"),
+    ({"settings": ["rtol=1"]}, "rtol = '1': Input should be less than 1"),
     ({"settings": ["rtol=nan"]}, "rtol = 'nan': Input should be a finite number"),
     ({"settings": ["max_step=inf"]}, "max_step = 'inf': Input should be a finite number"),
     ({"settings": ["max_step=nan"]}, "max_step = 'nan': Input should be a finite number"),

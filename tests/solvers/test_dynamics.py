@@ -143,6 +143,28 @@ def test_free_fall(drag):
     np.testing.assert_allclose(end.x - mesh.vertices, np.broadcast_to(shift, end.x.shape), atol=1e-12)
 
 
+@pytest.mark.parametrize("rtol", [1e-3, 1e-4])
+def test_steps_get_long_again_where_the_motion_is_smooth(rtol):
+    """A flat sheet that drag slows down: z = -(1 - exp(-d t)) v/d.
+
+    The first implicit step is too long, and the run begins with explicit steps. After one spell of them the
+    implicit steps begin at order 2, go on to the end, and take hardly more than without explicit steps."""
+    mesh = jc.rectangle(0.1, 0.1, 30, seed=0, sweeps=3)
+    scene, v, decay, t = sheet(mesh, jc.Material(drag_rate=20.0)), np.zeros((mesh.n_nodes, 3)), 20.0, 0.3
+    v[:, 2] = -1.0
+    state = initial_state(scene, mesh.vertices, v)
+    ends = {s: simulate(scene, state, t, solver=integrator(rtol, scheme=s)) for s in ("hybrid", "dynamic")}
+    shift = (np.exp(-decay * t) - 1.0) / decay
+    for end in ends.values():
+        assert np.max(np.abs(end.x[-1] - mesh.vertices - [0.0, 0.0, shift])) < 0.1 * rtol
+    counters = ends["hybrid"].state.counters
+    assert counters.steps[EXPLICIT] <= 400 and counters.switches == 2
+    assert counters.steps[IMPLICIT] <= 1.1 * ends["dynamic"].state.counters.steps[IMPLICIT]
+    rows = ends["hybrid"].history
+    steps = rows[(rows["kind"] == 0) & (rows["stage"] == "implicit")]
+    assert steps["order"].min() == 2
+
+
 def spring(x, parameters, t):
     """A spring from a node to its anchor."""
     stiffness, anchor = parameters

@@ -3,15 +3,14 @@
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Int
 
 from jaxcrumple._jax.arrays import HingeValues, NodeVectors, NodeVectorsLike, Scalar
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.program_cache import make_room
-from jaxcrumple._jax.stored_programs import StoredJit
-from jaxcrumple._jax.tree import is_known
+from jaxcrumple._jax.stored_programs import StoredJit, forget_programs
+from jaxcrumple._jax.tree import as_array, is_known
 from jaxcrumple.assembly.merged_matrix import Merger
 from jaxcrumple.contact.adjacency import PLACED_TURN, largest_turn
 from jaxcrumple.contact.host_broad_phase import Search
@@ -31,7 +30,8 @@ from jaxcrumple.scene import Scene, require_scene, with_lists
 from jaxcrumple.solvers.contact.schedule import empty_lists
 from jaxcrumple.state import Listing, State, check_positions, first_listing
 
-_find_pairs = StoredJit(find_pairs)
+_find_pairs, _no_pairs, _empty_lists = StoredJit(find_pairs), StoredJit(no_pairs), StoredJit(empty_lists)
+_first_listing = StoredJit(first_listing)
 # First capacity for candidates per node, and its lower limit. In a fine mesh the candidates include the next
 # neighbours of all triangles.
 CANDIDATES_PER_NODE, LEAST_CANDIDATES = 16, 32_000
@@ -73,6 +73,8 @@ class Reallocation:
         needed = np.asarray(listing.needed)
         if needed.any():
             lists = self.grown(lists, needed)
+            # The programs with the old capacities take as much memory as the new ones, and can be read again.
+            forget_programs()
         if bool(listing.stale) or _places_of(lists) < self.places:
             lists = self.placed(lists, listing.matrix)
         fits = lists.pairs.capacity == self.capacity
@@ -84,7 +86,7 @@ class Reallocation:
         assert listing is not None
         lists = self._emptied(self.placed(_lists(scene), listing.matrix, SOON))
         lists = self.searched(scene, lists, listing.candidates)
-        lists = self.filled(lists, first_listing(self.contact, state.x).pairs)
+        lists = self.filled(lists, _first_listing(self.contact, state.x).pairs)
         return self(with_lists(scene, lists), state)
 
     def filled(self, lists: ContactLists, reference: Reference) -> ContactLists:
@@ -97,9 +99,10 @@ class Reallocation:
             return lists._replace(pairs=eqx.tree_at(lambda pairs: pairs.reference, lists.pairs, reference))
         while True:
             pairs = _find_pairs(self.contact, lists.candidates, reference, lists.pairs.capacity)
-            if not pairs.overflow:
+            needed = np.asarray(pairs.needed)
+            if np.all(needed <= np.array(pairs.capacity)):
                 return lists._replace(pairs=pairs)
-            lists = self.grown(lists, np.append(pairs.needed, 0))
+            lists = self.grown(lists, np.append(needed, 0))
 
     def grown(self, lists: ContactLists, needed: Int[np.ndarray, "4"]) -> ContactLists:
         """Return the lists with capacities doubled until they hold `SOON` times `needed` (4,).
@@ -121,11 +124,9 @@ class Reallocation:
         self.candidates = doubled(self.candidates, len(pairs))
         triangles = np.zeros((self.candidates, 2), np.int32)
         triangles[: len(pairs)] = pairs
-        count, ways = jnp.asarray(len(pairs), int), jnp.asarray(folded)
+        count, ways = as_array(np.int64(len(pairs))), as_array(folded)
         turned = _turned(scene, reference.x, ways)
-        return lists._replace(
-            candidates=CandidatePairs(reference, jnp.asarray(triangles), count, ways, *turned)
-        )
+        return lists._replace(candidates=CandidatePairs(reference, as_array(triangles), count, ways, *turned))
 
     def placed(self, lists: ContactLists, reference: Reference, spare: float = 1.0) -> ContactLists:
         """Return the lists with a matrix that has entries for all candidates for the motions `reference`.
@@ -144,7 +145,7 @@ class Reallocation:
 
     def _emptied(self, lists: ContactLists) -> ContactLists:
         """Return the lists without site pairs, with the present capacities."""
-        return lists._replace(pairs=no_pairs(len(self.contact.rest), self.capacity))
+        return lists._replace(pairs=_no_pairs(len(self.contact.rest), self.capacity))
 
     def _enlarge(self, factor: int) -> None:
         self.capacity = Capacity(*(factor * size for size in self.capacity))
@@ -153,7 +154,7 @@ class Reallocation:
 def _lists(scene: Scene) -> ContactLists:
     """Return the lists of a scene with contact, by default empty ones."""
     assert scene.contact is not None
-    return empty_lists(scene, scene.contact) if scene.lists is None else scene.lists
+    return _empty_lists(scene, scene.contact) if scene.lists is None else scene.lists
 
 
 def _places_of(lists: ContactLists) -> float:
@@ -209,7 +210,7 @@ def with_contacts(
         raise ValueError("with_contacts needs positions on the host: call it outside jit, grad and vmap.")
     check_positions("x", positions, scene.n_nodes)
     if listing is None:
-        listing = first_listing(contact, jnp.asarray(positions, float))
+        listing = _first_listing(contact, as_array(positions, float))
     return _listed(scene, listing, np.asarray(listing.needed if needed is None else needed), merged=True)
 
 

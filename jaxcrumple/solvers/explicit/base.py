@@ -3,7 +3,6 @@
 import abc
 from typing import Any, NamedTuple, cast
 
-import diffrax
 import equinox as eqx
 import jax.numpy as jnp
 
@@ -107,7 +106,9 @@ class AbstractExplicit(eqx.Module):
 
     def _resized(self, units: Scalar, t: Scalar, h: Scalar, cap: Scalar) -> tuple[Flag, Scalar]:
         """Return whether the error `units` allows the step, and the next step in s."""
-        controller = diffrax.PIDController(rtol=0.0, atol=1.0, dtmax=cap)
+        from diffrax import PIDController
+
+        controller = PIDController(rtol=0.0, atol=1.0, dtmax=cap)
         # An integral controller has no memory, so that each step initialises it. It needs the error alone,
         # and nothing of the equations.
         y, unasked = jnp.zeros(()), cast(Any, None)

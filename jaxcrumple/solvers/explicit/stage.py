@@ -9,6 +9,7 @@ from jaxcrumple._jax.tree import select
 from jaxcrumple.contact.lists import motion
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.contact.schedule import largest_move, listed_active, still_ready, with_active
+from jaxcrumple.solvers.implicit.bdf import push
 from jaxcrumple.solvers.log import follow
 from jaxcrumple.solvers.loop import (
     EXPLICIT_COST,
@@ -24,10 +25,12 @@ from jaxcrumple.solvers.proposal import ProposedStep, propose
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.solvers.stages import Entry, after_explicit
 from jaxcrumple.solvers.switch import observe
-from jaxcrumple.state import EXPLICIT
+from jaxcrumple.state import EXPLICIT, IMPLICIT
 
 # Explicit steps for which the contact lists are built to stay valid.
 LOOK_AHEAD = 16
+# Points that an implicit step of order 2 with inertia and its error estimate need.
+SECOND_ORDER = 3
 
 
 def look_ahead(scene: Scene, carry: Carry, solver: Integrator) -> NodeVectors:
@@ -101,6 +104,10 @@ def _attempt(scene: Scene, carry: Carry, solver: Integrator, proposed: ProposedS
     )  # fmt: skip
     if state.p is not None:
         moved = eqx.tree_at(lambda s: s.p, moved, tried.p)
+    if solver.has(IMPLICIT):
+        # The next implicit step with inertia has order 2 at once, with an error estimate.
+        last = push(state.history, h, tried.x, tried.v, tried.p, jnp.asarray(2, int), SECOND_ORDER)
+        moved = eqx.tree_at(lambda s: s.history, moved, last)
     moved = select(tried.accepted, with_work(scene, state, moved, h), state)
     next_h = jnp.where(tried.accepted & (h < wanted), jnp.maximum(tried.next_h, wanted), tried.next_h)
     moved = eqx.tree_at(lambda s: s.h_explicit, moved, next_h)

@@ -148,16 +148,17 @@ def push(
     v: Float[Array, " *axes"],
     p: HingeValues | None,
     order: Count,
+    points: int = HISTORY,
 ) -> History:
-    """Insert a new accepted point at the front of the history."""
+    """Insert a new accepted point at the front of the history, and keep `points` of them."""
 
     def shift(
         past: Float[Array, " points *axes"], new: Float[Array, " *axes"]
     ) -> Float[Array, " points *axes"]:
-        return jnp.concatenate([new[None], past[:-1]])
+        return jnp.concatenate([new[None], past[: points - 1], past[points:]])
 
     past = None if history.p is None or p is None else shift(history.p, p)
-    count = jnp.minimum(history.count + 1, HISTORY)
+    count = jnp.minimum(history.count + 1, points)
     return History(
         shift(history.x, x), shift(history.v, v), past, shift(history.steps, h), count, order
     )  # fmt: skip
