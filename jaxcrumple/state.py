@@ -227,6 +227,7 @@ def fresh_monitor(window: int, futile: Count | int = 0) -> Monitor:
     return Monitor(jnp.zeros(window), zero, jnp.asarray(0.0, float), jnp.asarray(False), futile)
 
 
+@StoredJit
 def _memory(
     scene: Scene, x: NodeVectors, v: NodeVectors, p: HingeValues | None
 ) -> tuple[Slopes, History, Linearization, Listing | None]:

@@ -250,7 +250,7 @@ def _sizes(scene: Scene) -> tuple[int, ...]:
 def _with_sizes(scene: Scene, capacity: Capacity, candidates: int) -> Scene:
     """Return the scene with empty lists of the given capacities."""
     lists = _with_candidates(_lists(scene), candidates)
-    return with_lists(scene, lists._replace(pairs=no_pairs(scene.n_nodes, capacity)))
+    return with_lists(scene, lists._replace(pairs=_no_pairs(scene.n_nodes, capacity)))
 
 
 def _listed(scene: Scene, listing: Listing, needed: Int[np.ndarray, "4"], merged: bool) -> Scene:
