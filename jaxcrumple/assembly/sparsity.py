@@ -113,7 +113,8 @@ class Pattern(eqx.Module):
     ) -> Float[Array, " 3*nodes"]:
         """Multiply the sheet's matrix, in the form of `expand`, by a vector (3n,)."""
         gathered = x.reshape(-1, 3)[self.neighbors].reshape(rows.shape[0], -1)
-        return jnp.einsum("nas,ns->na", rows, gathered).reshape(-1)
+        # GPUs otherwise round the factors of products in float32 to 11 bits.
+        return jnp.einsum("nas,ns->na", rows, gathered, precision="highest").reshape(-1)
 
     def contact_product(
         self, values: Float[Array, " values"], x: Float[Array, " components"]

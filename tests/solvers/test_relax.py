@@ -15,6 +15,7 @@ from jaxcrumple.scene import sheet
 from jaxcrumple.scenes.snap import fixed
 from jaxcrumple.solvers import relax as solver
 from jaxcrumple.solvers.linear.direct import Direct
+from jaxcrumple.solvers.linear.registry import direct_available
 from jaxcrumple.solvers.relax import RELAXED, relax
 from jaxcrumple.state import initial_state
 from jaxcrumple.system import tangent
@@ -64,7 +65,8 @@ def test_a_heavy_cantilever_takes_tens_of_iterations_to_the_elastica():
     heavy = rested(cantilever())
     assert heavy.converged
     assert RELAXED[heavy.result].startswith("the net force on every free node")
-    assert int(heavy.negative) == 0
+    # Only a factor tells how many eigenvalues are negative.
+    assert int(heavy.negative) == (0 if direct_available() else -1)
     assert int(heavy.iterations) <= 50
     # A strip this wide and thin bends as a plate, stiffer than a beam by 1/(1 - nu^2), and nu is 1/3.
     x = mesh().vertices[:, 0]

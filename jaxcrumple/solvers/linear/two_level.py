@@ -24,6 +24,8 @@ from jaxcrumple.solvers.linear.cg import conjugate_gradients
 
 # Cells of the coarse grid whose rows are multiplied together, so that their arrays stay in the cache.
 BATCH = 8
+# Precision of products: GPUs otherwise round the factors to 11 bits.
+FLOAT32 = jax.lax.Precision.HIGHEST
 # Shift of the scaled coarse matrix, because functions that hardly overlap the sheet are nearly dependent.
 SHIFT = 1e-10
 
@@ -88,7 +90,8 @@ class TwoLevel(AbstractLinearSolver):
             size = jnp.maximum(jnp.max(jnp.abs(r)), jnp.finfo(r.dtype).tiny)
             scaled = (r / size).astype(jnp.float32)
             # Row vector times matrix, because XLA on CPU would copy the transpose in every iteration.
-            smooth = (levels.coarse @ _restrict(space, weights, scaled)) @ levels.coarse
+            half = jnp.matmul(levels.coarse, _restrict(space, weights, scaled), precision=FLOAT32)
+            smooth = jnp.matmul(half, levels.coarse, precision=FLOAT32)
             both = _solve_blocks(levels.blocks, scaled) + _prolong(space, weights, smooth)
             return size * both.astype(r.dtype)
 
@@ -111,8 +114,8 @@ def _solve_blocks(
 ) -> Float[Array, " unknowns"]:
     """Compute $L^{-T} L^{-1}$ r with the inverse factors (b, m, m) of the diagonal blocks."""
     count, size, _ = inverse.shape
-    half = jnp.einsum("bij,bj->bi", inverse, pad_blocks(r, count, size))
-    return jnp.einsum("bji,bj->bi", inverse, half).reshape(-1)[: r.shape[0]]
+    half = jnp.einsum("bij,bj->bi", inverse, pad_blocks(r, count, size), precision=FLOAT32)
+    return jnp.einsum("bji,bj->bi", inverse, half, precision=FLOAT32).reshape(-1)[: r.shape[0]]
 
 
 def _cell_weights(space: CoarseSpace) -> Float[Array, "cells functions members"]:
