@@ -9,7 +9,7 @@ from jaxtyping import Float
 from jaxcrumple._jax.memory import require
 from jaxcrumple._jax.tree import as_array
 from jaxcrumple.contact.parameters import SelfContact
-from jaxcrumple.contact.potentials import Potential
+from jaxcrumple.contact.potentials import DEFAULT_POTENTIAL, Potential
 from jaxcrumple.material.material import Material
 from jaxcrumple.mesh.generate import disc, rectangle
 from jaxcrumple.mesh.mesh import Mesh
@@ -30,7 +30,7 @@ class SheetOptions:
     """Options that the scenes of crumpled sheets share.
 
     `imperfection`: largest height in m of a smooth, stress-free initial shape; `sweeps`: Lloyd sweeps of
-    the random mesh; `damping`: "central" or "paper"; `contact`: "penalty", "inverse-power", "barrier", or
+    the random mesh; `damping`: "central" or "paper"; `contact`: "inverse-power", "penalty", "barrier", or
     None for a phantom sheet, which passes through itself, with `contact_range` and `contact_level` as in
     `SelfContact`; `material`: default `Material()`.
     """
@@ -38,7 +38,7 @@ class SheetOptions:
     imperfection: Imperfection = 25e-6
     sweeps: Sweeps = 100
     damping: Damping = "central"
-    contact: Potential | None = "penalty"
+    contact: Potential | None = DEFAULT_POTENTIAL
     contact_range: Length | None = None
     contact_level: ContactLevel | None = None
     material: Material = field(default_factory=Material)
