@@ -159,18 +159,25 @@ def _longest(mesh: Mesh) -> float:
     return float(mesh.edge_length.max())
 
 
+def default_level(mesh: Mesh, sigma: float, potential: Potential, spacing: float = SPACING) -> int:
+    """Return the lowest level whose sites are at most `spacing` ranges apart, for a range `sigma` in m.
+
+    A barrier has a spacing of its own."""
+    # The mean site spacing in the largest triangle counts; `widest` is the side of an equilateral one of the
+    # same area. A barrier needs the longest edge covered.
+    widest = np.sqrt(float(mesh.face_area.max()) * 4.0 / np.sqrt(3.0))
+    parts = max(widest, _longest(mesh) * SPACING / LONGEST_SPACING) / (spacing * sigma)
+    parts = _longest(mesh) / (BARRIER_SPACING * sigma) if potential == "barrier" else parts
+    return max(int(np.ceil(parts)) - 1, 0)
+
+
 def _level(mesh: Mesh, sigma: float, options: SelfContact) -> int:
     """Return the refinement level of `options`, or the default; refuse or warn of one that is too coarse.
 
     **Raises:** ValueError for a level that is no integer from 0 on, or too coarse for a barrier.
     """
     barrier, longest = options.potential == "barrier", _longest(mesh)
-    # The mean site spacing in the largest triangle counts; `widest` is the side of an equilateral one of the
-    # same area. A barrier needs the longest edge covered.
-    widest = np.sqrt(float(mesh.face_area.max()) * 4.0 / np.sqrt(3.0))
-    parts = max(widest / (SPACING * sigma), longest / (LONGEST_SPACING * sigma))
-    parts = longest / (BARRIER_SPACING * sigma) if barrier else parts
-    needed = max(int(np.ceil(parts)) - 1, 0)
+    needed = default_level(mesh, sigma, options.potential)
     level = needed if options.level is None else options.level
     if not isinstance(level, int | np.integer) or isinstance(level, bool) or level < 0:
         raise ValueError(
