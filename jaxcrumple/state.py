@@ -39,7 +39,7 @@ class RESULTS(eqx.Enumeration):
     blocked = (
         "even the shortest step makes the sheet pass through itself or a wall; the run keeps the last good "
         "state. The prescribed motion leaves no room, or the start is too deep in contact, or layers meet "
-        "faster than the penalty stops them: try contact by a barrier, a finer mesh, or more drag"
+        "faster than contact stops them: try a higher contact level, a finer mesh, or more drag"
     )
     intersected = (
         "the sheet passes through itself in the last frame; contact should have prevented this, please "

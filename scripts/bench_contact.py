@@ -24,6 +24,7 @@ from jaxcrumple import integrator
 from jaxcrumple._jax.threads import limited_blas
 from jaxcrumple.contact.broad_phase import find_candidates
 from jaxcrumple.contact.narrow_phase import find_pairs
+from jaxcrumple.contact.potentials import DEFAULT_POTENTIAL
 from jaxcrumple.geometry.intersections import intersections
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.contact.reallocate import Reallocation, with_contacts
@@ -119,7 +120,7 @@ def measure(nodes: int, folder: Path) -> dict:
     rows = []
     with limited_blas():
         for t in TIMES:
-            scene, state = recorded(nodes, t, folder, "penalty", TIMES)
+            scene, state = recorded(nodes, t, folder, DEFAULT_POTENTIAL, TIMES)
             listed = with_contacts(scene, state.x)
             report = contact_report(listed, state.x)
             row = {"t": t, "R_cm": 7.1 - t, "contacts": report.interacting, "gap_um": 1e6 * report.gap}
@@ -131,7 +132,7 @@ def measure(nodes: int, folder: Path) -> dict:
                 raise RuntimeError(f"the sheet of {nodes} nodes intersects itself at {t} s")
             rows.append(row)
             print(nodes, row, flush=True)
-        scene, state = recorded(nodes, TIMES[0], folder, "penalty", TIMES)
+        scene, state = recorded(nodes, TIMES[0], folder, DEFAULT_POTENTIAL, TIMES)
         apart = apart_cost(scene, state)
     jax.clear_caches()
     return {"nodes": nodes, "rows": rows, "apart": apart}

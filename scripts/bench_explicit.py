@@ -16,6 +16,7 @@ from benchlib import confine, markdown, options, save
 from matplotlib.figure import Figure
 
 from jaxcrumple import cylindrical, initial_state, integrator, simulate
+from jaxcrumple.contact.potentials import DEFAULT_POTENTIAL
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.solvers.explicit.runge_kutta import RungeKutta
 from jaxcrumple.solvers.explicit.verlet import Verlet
@@ -111,7 +112,12 @@ def main() -> None:
     """Run the benchmark."""
     opts = options(__doc__, (500, 1000, 3000)).parse_args()
     confine(1)
-    rows = [row for nodes in opts.nodes for contact in (None, "penalty") for row in measure(nodes, contact)]
+    rows = [
+        row
+        for nodes in opts.nodes
+        for contact in (None, DEFAULT_POTENTIAL)
+        for row in measure(nodes, contact)
+    ]
     save(opts, "explicit", table(rows), draw(rows), ratios(rows), rows)
 
 

@@ -18,13 +18,14 @@ from pathlib import Path
 
 from benchlib import Log, markdown, options, save
 
+from jaxcrumple.contact.potentials import DEFAULT_POTENTIAL
 from jaxcrumple.run.check import rounded
 from jaxcrumple.run.config import RunConfig, configure
 from jaxcrumple.run.estimate import estimate
 from jaxcrumple.run.run import start_run
 
 NODES, BUILT, T_END = (300, 1000, 3000), (30_000, 100_000), 0.6
-CONTACTS = ("none", "penalty")
+CONTACTS = ("none", DEFAULT_POTENTIAL)
 # Lloyd sweeps of a sheet that is only built: they take time and no memory.
 SWEEPS = 1
 

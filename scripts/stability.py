@@ -32,6 +32,7 @@ from matplotlib.figure import Figure
 from scipy.stats import qmc
 
 from jaxcrumple import Solution, initial_state, simulate
+from jaxcrumple.contact.potentials import DEFAULT_POTENTIAL
 from jaxcrumple.measure import count_intersections
 from jaxcrumple.run.config import RunConfig, configure
 from jaxcrumple.scenes.setup import Setup
@@ -332,7 +333,7 @@ def main() -> None:
         jax.config.update("jax_compilation_cache_dir", str(Path("runs/cache").absolute()))
         print(json.dumps(judged(RunConfig.model_validate_json(opts.one), opts.seconds)))
         return
-    name, contact = ("stability_contact", "penalty") if opts.contact else ("stability", None)
+    name, contact = ("stability_contact", DEFAULT_POTENTIAL) if opts.contact else ("stability", None)
     log = opts.log or Path(f"runs/{name}.jsonl")
     found = study(sample(opts.runs, contact=contact), opts.seconds, opts.workers, log)
     figures = {"failures": float(sum(bool(row["failures"]) for row in found))}

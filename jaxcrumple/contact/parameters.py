@@ -11,13 +11,20 @@ from jaxtyping import Array, Float, Int
 from jaxcrumple._jax.arrays import NodeVectors, Scalar
 from jaxcrumple._jax.tree import as_array, as_float, is_known
 from jaxcrumple.contact.adjacency import Fans, build_fans
-from jaxcrumple.contact.potentials import AbstractPairPotential, Barrier, InversePower, Penalty, Potential
+from jaxcrumple.contact.potentials import (
+    DEFAULT_POTENTIAL,
+    AbstractPairPotential,
+    Barrier,
+    InversePower,
+    Penalty,
+    Potential,
+)
 from jaxcrumple.contact.sites import build_sites, require_candidates, require_sites, site_density
 from jaxcrumple.material.material import ModelConstants
 from jaxcrumple.mesh.mesh import Mesh
 
-# Largest site spacing of the penalty in ranges, on average over a triangle and along its sides. With a wider
-# spacing, layers could rest between each other's sites.
+# Largest site spacing in ranges, on average over a triangle and along its sides. With a wider spacing, layers
+# could rest between each other's sites; a closer one costs time: two thirds, twice as much an iteration.
 SPACING, LONGEST_SPACING = 1.0, 1.5
 # Above this spacing in ranges, some points of a sheet are out of range of all its sites.
 WIDEST_SPACING = np.sqrt(3.0)
@@ -37,15 +44,15 @@ LEAST = 0.25
 class SelfContact(NamedTuple):
     """Set the options of a sheet's self-contact.
 
-    - `potential`: "penalty" is the paper's (26); it is finite at r = 0, and steps that would pass through it
-      are rejected. "inverse-power" rises slowly and is infinite at r = 0, so that steps may be longer.
-      "barrier" becomes infinite before layers touch; it needs four times as many sites.
+    - `potential`: "inverse-power" rises slowly and is infinite at r = 0. "penalty" is the paper's (26); it
+      rises faster, so that steps must be shorter, and is finite at r = 0. "barrier" becomes infinite before
+      layers touch; it needs four times as many sites. Steps that would pass through are rejected.
     - `range`: $\\sigma$ in m, by default $h_{eff}$.
     - `level`: number of sites on an edge between its ends; by default the lowest level whose sites are no
       further apart than the range.
     """
 
-    potential: Potential = "penalty"
+    potential: Potential = DEFAULT_POTENTIAL
     range: float | None = None
     level: int | None = None
 
@@ -152,18 +159,25 @@ def _longest(mesh: Mesh) -> float:
     return float(mesh.edge_length.max())
 
 
+def default_level(mesh: Mesh, sigma: float, potential: Potential, spacing: float = SPACING) -> int:
+    """Return the lowest level whose sites are at most `spacing` ranges apart, for a range `sigma` in m.
+
+    A barrier has a spacing of its own."""
+    # The mean site spacing in the largest triangle counts; `widest` is the side of an equilateral one of the
+    # same area. A barrier needs the longest edge covered.
+    widest = np.sqrt(float(mesh.face_area.max()) * 4.0 / np.sqrt(3.0))
+    parts = max(widest, _longest(mesh) * SPACING / LONGEST_SPACING) / (spacing * sigma)
+    parts = _longest(mesh) / (BARRIER_SPACING * sigma) if potential == "barrier" else parts
+    return max(int(np.ceil(parts)) - 1, 0)
+
+
 def _level(mesh: Mesh, sigma: float, options: SelfContact) -> int:
     """Return the refinement level of `options`, or the default; refuse or warn of one that is too coarse.
 
     **Raises:** ValueError for a level that is no integer from 0 on, or too coarse for a barrier.
     """
     barrier, longest = options.potential == "barrier", _longest(mesh)
-    # The penalty limits the mean site spacing in the largest triangle; `widest` is the side of an equilateral
-    # one of the same area. A barrier needs the longest edge covered.
-    widest = np.sqrt(float(mesh.face_area.max()) * 4.0 / np.sqrt(3.0))
-    penalty = max(widest / (SPACING * sigma), longest / (LONGEST_SPACING * sigma))
-    parts = longest / (BARRIER_SPACING * sigma) if barrier else penalty
-    needed = max(int(np.ceil(parts)) - 1, 0)
+    needed = default_level(mesh, sigma, options.potential)
     level = needed if options.level is None else options.level
     if not isinstance(level, int | np.integer) or isinstance(level, bool) or level < 0:
         raise ValueError(

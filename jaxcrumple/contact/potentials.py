@@ -15,6 +15,8 @@ from jaxcrumple._jax.arrays import Scalar
 from jaxcrumple._jax.tree import as_float
 
 Potential = Literal["penalty", "barrier", "inverse-power"]
+# The one of a sheet whose options name none.
+DEFAULT_POTENTIAL: Potential = "inverse-power"
 # Factor $\kappa$ on the inverse-power law. Layers that are 0.54 or 0.88 ranges apart then press each other as
 # with the penalty, and less in between.
 STRENGTH = 0.3

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from jaxcrumple.contact.potentials import DEFAULT_POTENTIAL
 from jaxcrumple.io import Run
 from jaxcrumple.measure import face_bending_density, localization
 from jaxcrumple.paper.base import Figure, Runs, save_table
@@ -12,7 +13,7 @@ from jaxcrumple.paper.panels import Moment, plot_moments, table_of
 from jaxcrumple.run.config import MaterialOptions, RunConfig, configure
 
 # Option values of the four cases.
-CONTACT = {"phantom": None, "self-avoiding": "penalty"}
+CONTACT = {"phantom": None, "self-avoiding": DEFAULT_POTENTIAL}
 YIELD = {"elastic": None, "elastoplastic": 200.0}
 NODES, T_END = (1000, 3000), (2.6, 3.7)
 

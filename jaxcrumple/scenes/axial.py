@@ -100,7 +100,7 @@ def cylindrical(
         Plane(-along, planes),
     ]
     x = upright(curled(mesh.vertices, inner)) + np.array([0.0, inner, 0.0])
-    return sheet.setup(mesh, walls, x=x)
+    return sheet.finer(mesh).setup(mesh, walls, x=x)
 
 
 @door
@@ -146,7 +146,7 @@ def axial(
     wide = 0.5 * size + sheet.clearance + sheet.imperfection
     walls = _walls(wide, radius, height, 0.5 * gap, times.ends(cycles))
     x = upright(curled(mesh.vertices, BIAS * size))
-    return sheet.setup(mesh, walls, x=x, extra=[_pull(mesh, home, times, cycles)])
+    return sheet.finer(mesh).setup(mesh, walls, x=x, extra=[_pull(mesh, home, times, cycles)])
 
 
 def _check_height(height: float, size: float) -> None:

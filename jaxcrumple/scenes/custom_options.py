@@ -15,7 +15,7 @@ from pydantic import (
     model_validator,
 )
 
-from jaxcrumple.contact.potentials import Potential
+from jaxcrumple.contact.potentials import DEFAULT_POTENTIAL, Potential
 from jaxcrumple.mesh.files import MeshError
 from jaxcrumple.mesh.files.sheet import unit_length
 from jaxcrumple.options.units import (
@@ -154,7 +154,7 @@ class CustomOptions(OptionTable):
     supports: list[Support] = Field([])
     gravity: Annotated[list[MetrePerSecondSquared], Len(3, 3)] | None = None
     damping: Damping = "central"
-    contact: Potential | None = "penalty"
+    contact: Potential | None = DEFAULT_POTENTIAL
     contact_range: Length | None = None
     contact_level: ContactLevel | None = None
 

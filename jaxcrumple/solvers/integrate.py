@@ -68,8 +68,10 @@ def integrate(
     held = jnp.asarray(solver.implicit is None or not solver.implicit.linear.exact)
     done = state.t >= t_stop
     no = jnp.asarray(False)
+    # As in an uninterrupted run, explicit steps use their lists for as long as these hold.
+    ready = state.stage == EXPLICIT
     idle = no_entry(), stay(state), nothing, nothing, left, done
-    carry = Carry(state, schedule, no, no, log, factor, held, trial, *idle)
+    carry = Carry(state, schedule, ready, no, log, factor, held, trial, *idle)
 
     def stages(carry: Carry) -> Carry:
         carry = _renewed(scene, carry._replace(rounds=carry.rounds + 1), solver)

@@ -75,11 +75,14 @@ def test_net_force_and_torque_vanish():
     assert np.abs(np.cross(x, force).sum(axis=0)).max() < 1e-13 * size * 0.02
 
 
-@pytest.mark.parametrize("level", [7, pytest.param(9, marks=pytest.mark.slow)])
-def test_pressure_of_two_layers_does_not_depend_on_the_level(level):
-    """The dense limit of PHYSICS: P = 2 pi n_s^2 g U(g), with one site per a_0."""
+@pytest.mark.parametrize(
+    ("potential", "level"),
+    [("penalty", 7), ("inverse-power", 7), pytest.param("penalty", 9, marks=pytest.mark.slow)],
+)
+def test_pressure_of_two_layers_does_not_depend_on_the_level(potential, level):
+    """The limit of many sites: P = 2 pi n_s^2 g U(g), with one site per a_0."""
     gap = 0.8
-    mesh, scene, _ = layers(gap, level=level)
+    mesh, scene, _ = layers(gap, potential=potential, level=level)
     x = folded(mesh, gap * SIGMA)
     contact = bound(jc.with_contacts(scene, x))
     force = np.asarray(contact.force(jnp.asarray(x)))
@@ -87,7 +90,8 @@ def test_pressure_of_two_layers_does_not_depend_on_the_level(level):
     pressure = force[inner, 2].sum() / mesh.node_area[inner].sum()
     density = 1.0 / (np.sqrt(3.0) / 2.0 * SIGMA**2)
     stiffness, g = float(contact.contact.stiffness), gap * SIGMA
-    energy = stiffness * SIGMA**2 * np.exp(SIGMA / (g - SIGMA))
+    law = {"penalty": np.exp(1.0 / (gap - 1.0)), "inverse-power": 0.1 * (1.0 - gap) ** 3 / gap**4}
+    energy = stiffness * SIGMA**2 * law[potential]
     assert pressure == pytest.approx(2.0 * np.pi * density**2 * g * energy, rel=0.05)
 
 

@@ -235,7 +235,7 @@ def test_the_commands(file, tmp_path, in_process):
     assert run.config["options"]["walls"][1] == {"kind": "plane", "normal": [0, 0, 1], "offset": -0.01}
     assert run.summary["result"] == "success"
     code, streams = in_process("run", path, "--resume", "--out", out)
-    assert code == 2 and "was started with contact = None, not 'penalty'" in streams.err
+    assert code == 2 and "was started with contact = None, not 'inverse-power'" in streams.err
     assert in_process("run", path, "--set", "contact=none", "--resume", "--out", out)[0] == 0
     code, streams = in_process("scenes", "--toml", "fold")
     assert code == 0 and 'scene = "fold"' in streams.out

@@ -205,3 +205,27 @@ def test_the_free_sector_of_a_surface_that_lifts_off_as_a_cube(degrees):
     shape = np.column_stack([x, y, 0.1 * reach + lifted])
     found = np.rad2deg(jc.free_sector(setup, shape, 10.0))
     assert found == pytest.approx(degrees, abs=4.0)
+
+
+@pytest.mark.parametrize(
+    ("nodes", "options", "spacing"),
+    [
+        (200, {}, 2.0 / 3.0),
+        (600, {}, 1.0),
+        (200, {"contact_level": 40}, None),
+        (200, {"contact": None}, None),
+    ],
+)
+def test_sites_are_closer_on_a_rolled_sheet_with_long_edges(nodes, options, spacing):
+    setup = jc.cylindrical(nodes, sweeps=5, **options)
+    if "contact" in options:
+        assert setup.contact is None
+        return
+    # A lattice of p intervals on each side of a triangle has (p + 1) (p + 2) / 2 sites.
+    parts = round((2 * len(setup.scene.contact.share) + 0.25) ** 0.5 - 1.5)
+    side = (4.0 / 3.0**0.5 * setup.mesh.face_area.max()) ** 0.5
+    longest = max(side, setup.mesh.edge_length.max() / 1.5) / float(setup.scene.contact.range)
+    if spacing is None:
+        assert parts == 41
+    else:
+        assert longest / parts <= spacing < longest / (parts - 1)

@@ -305,10 +305,7 @@ def _status(
     contact, listing, lists = scene.contact, state.listing, schedule.lists
     assert contact is not None and listing is not None
     candidates_cover = listing.candidates.covers(ahead, margin) & (schedule.turn < DUE_TURN)
-    # Compare with the first capacities. The current ones grow during a run, and a resumed run would decide
-    # differently.
-    first = jnp.asarray(first_capacity(scene.n_nodes))
-    crowded = _far(contact, schedule) & jnp.any(lists.pairs.needed > first)
+    crowded = _crowded(scene, schedule)
     pairs_cover = listing.pairs.covers(state.x) & listing.pairs.covers(ahead, margin)
     pairs_cover = pairs_cover & ~lists.pairs.overflow & ~loose
     reasons = {
@@ -336,7 +333,7 @@ def still_ready(
     schedule = schedule._replace(candidates=listing.candidates, pairs=listing.pairs)
     margin = NEXT_SLACK * contact.range + differs
     holds = listing.candidates.covers(ahead, margin) & listing.pairs.covers(ahead, margin)
-    holds = holds & ~schedule.lists.pairs.overflow & _made(schedule)
+    holds = holds & ~schedule.lists.pairs.overflow & ~_crowded(scene, schedule) & _made(schedule)
     return holds & (schedule.turn < DUE_TURN) & (state.monitor.steps > 0)
 
 
@@ -356,6 +353,16 @@ def ready_to_restore(scene: Scene, state: State, schedule: Schedule | None) -> t
 def _far(contact: Contact, schedule: Schedule) -> Flag:
     """Return whether the list of site pairs is for a step that is longer than steps near contact may be."""
     return ~schedule.short & (jnp.max(schedule.pairs.skin) > LONGEST * contact.range)
+
+
+def _crowded(scene: Scene, schedule: Schedule) -> Flag:
+    """Return whether the list of site pairs for so long a step has so many entries that a shorter step is
+    better."""
+    # Compare with the first capacities. The current ones grow during a run, and a resumed run would decide
+    # differently.
+    assert scene.contact is not None
+    first = jnp.asarray(first_capacity(scene.n_nodes))
+    return _far(scene.contact, schedule) & jnp.any(schedule.lists.pairs.needed > first)
 
 
 def _have_entries(scene: Scene, schedule: Schedule) -> Flag:
