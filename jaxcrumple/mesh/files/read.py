@@ -9,7 +9,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import meshio
 import numpy as np
 
 from jaxcrumple.mesh.files.ply import read_ply
@@ -97,6 +96,9 @@ def _read_stl(path: Path) -> Surface:
 
 
 def _read_with_meshio(path: Path) -> Surface:
+    # Most programs read no mesh, and its import takes a twentieth of a second.
+    import meshio
+
     data = meshio.read(path)
     kept = [block for block in data.cells if block.type not in _SKIPPED and len(block.data)]
     others = {block.type for block in kept if block.type not in ("triangle", "quad")}

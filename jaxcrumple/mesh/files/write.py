@@ -6,7 +6,6 @@ import contextlib
 import io
 from pathlib import Path
 
-import meshio
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -27,6 +26,8 @@ def write_triangles(
     ending = path.suffix.lower()
     if ending not in FILE_FORMATS:
         raise MeshError(f"cannot save {str(path)!r}; end the name with one of {', '.join(FILE_FORMATS)}")
+    import meshio
+
     mesh = meshio.Mesh(points.copy(), [("triangle", faces.copy())])
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         mesh.write(path, file_format="gmsh" if ending == ".msh" else ending[1:])
