@@ -154,7 +154,7 @@ def test_places_beyond_32_bits_are_told_apart():
     sigma = step / 60
     mesh = strip(0.8 * sigma, columns=(2, 2), rows=2, step=step)
     x = folded(mesh, 0.8 * sigma, (2, 2))
-    options = jc.SelfContact(range=sigma, level=359)
+    options = jc.SelfContact("penalty", range=sigma, level=359)
     scene = jc.with_contacts(jc.sheet(mesh, jc.Material(thickness=1e-5), contact=options), x)
     contact = scene.contact
     assert int(scene.lists.pairs.needed[1]) * len(contact.share) > np.iinfo(np.int32).max
