@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -15,6 +16,8 @@ from jaxcrumple.model.elements import upper_pairs
 
 # Bytes for each entry of the tangent during the construction of the pattern.
 ENTRY = 40.0
+# Precision of products of matrices in float32, whose factors a GPU otherwise rounds to 11 bits.
+FULL = jax.lax.Precision.HIGHEST
 
 
 class Pattern(eqx.Module):
@@ -113,8 +116,7 @@ class Pattern(eqx.Module):
     ) -> Float[Array, " 3*nodes"]:
         """Multiply the sheet's matrix, in the form of `expand`, by a vector (3n,)."""
         gathered = x.reshape(-1, 3)[self.neighbors].reshape(rows.shape[0], -1)
-        # GPUs otherwise round the factors of products in float32 to 11 bits.
-        return jnp.einsum("nas,ns->na", rows, gathered, precision="highest").reshape(-1)
+        return jnp.einsum("nas,ns->na", rows, gathered, precision=FULL).reshape(-1)
 
     def contact_product(
         self, values: Float[Array, " values"], x: Float[Array, " components"]

@@ -80,8 +80,11 @@ class Contact(eqx.Module):
     fans: Fans
 
 
-def _is_number(value: Any) -> bool:
-    return np.ndim(value) == 0 and np.issubdtype(np.asarray(value).dtype, np.number)
+def is_range(value: Any) -> bool:
+    """Return whether a value is a positive length, which JAX does not trace."""
+    if not is_known(value) or np.ndim(value) > 0 or not np.issubdtype(np.asarray(value).dtype, np.number):
+        return False
+    return bool(np.isfinite(value) and value > 0)
 
 
 def build_contact(
@@ -99,7 +102,7 @@ def build_contact(
         names = ", ".join(get_args(Potential))
         raise ValueError(f"contact potential {options.potential!r} is unknown; choose one of {names}.")
     known = is_known(sigma)
-    if known and not (_is_number(sigma) and np.isfinite(sigma) and sigma > 0):
+    if known and not is_range(sigma):
         raise ValueError(f"contact range = {sigma!r} m must be a positive length; leave it out for h_eff.")
     if not len(mesh.hinges):
         raise ValueError("a sheet of one triangle cannot touch itself; leave contact out.")
@@ -165,10 +168,12 @@ def default_level(mesh: Mesh, sigma: float, potential: Potential, spacing: float
     A barrier has a spacing of its own."""
     # The mean site spacing in the largest triangle counts; `widest` is the side of an equilateral one of the
     # same area. A barrier needs the longest edge covered.
-    widest = np.sqrt(float(mesh.face_area.max()) * 4.0 / np.sqrt(3.0))
-    parts = max(widest, _longest(mesh) * SPACING / LONGEST_SPACING) / (spacing * sigma)
-    parts = _longest(mesh) / (BARRIER_SPACING * sigma) if potential == "barrier" else parts
-    return max(int(np.ceil(parts)) - 1, 0)
+    if potential == "barrier":
+        side, spacing = _longest(mesh), BARRIER_SPACING
+    else:
+        widest = np.sqrt(float(mesh.face_area.max()) * 4.0 / np.sqrt(3.0))
+        side = max(widest, _longest(mesh) * SPACING / LONGEST_SPACING)
+    return max(int(np.ceil(side / (spacing * sigma))) - 1, 0)
 
 
 def _level(mesh: Mesh, sigma: float, options: SelfContact) -> int:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from jaxcrumple._jax.memory import require
 from jaxcrumple._jax.tree import as_array
-from jaxcrumple.contact.parameters import SelfContact, default_level
+from jaxcrumple.contact.parameters import SelfContact, default_level, is_range
 from jaxcrumple.contact.potentials import DEFAULT_POTENTIAL, Potential
 from jaxcrumple.material.material import Material
 from jaxcrumple.mesh.generate import disc, rectangle
@@ -56,8 +56,10 @@ class SheetOptions:
     def finer(self, mesh: Mesh) -> "SheetOptions":
         """Return the options with closer sites on a coarse mesh, if there is contact without a level."""
         sigma = self.contact_range
-        if self.contact is None or sigma is None or self.contact_level is not None:
+        # `setup` refuses a range that is none.
+        if self.contact is None or self.contact_level is not None or not is_range(sigma):
             return self
+        assert sigma is not None
         if mesh.edge_length.mean() <= COARSE * sigma:
             return self
         return replace(self, contact_level=default_level(mesh, sigma, self.contact, CLOSE_SPACING))

@@ -155,6 +155,7 @@ def test_what_is_pulled_through_a_hole_has_passed_it():
         (jc.cylindrical, {"height": 0.2}, "height = 0.2 m must be less than the size"),
         (jc.cylindrical, {"radius": 0.015}, "too small for a sheet of 0.1 m .* choose at least 0.01626"),
         (jc.axial, {"cycles": 0}, "cycles = 0 must be at least 1"),
+        (jc.cylindrical, {"contact_range": 0.0}, "contact range = 0.0 m must be a positive length"),
         (jc.axial, {"gap": 4e-4}, "gap = 0.0004 m must be more than twice the thickness"),
         (jc.unload, {"least": 0.08}, "must be less than the radius"),
         (jc.stamping, {"die": 0.05}, "has no room for a disc of 0.05 m; choose at least 0.05055"),

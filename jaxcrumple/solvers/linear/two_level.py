@@ -17,15 +17,13 @@ from jaxtyping import Array, Float, Int
 
 from jaxcrumple._jax.arrays import Flag, Scalar
 from jaxcrumple.assembly.coarse_space import SUPPORT, WINDOW, CoarseSpace
-from jaxcrumple.assembly.sparsity import Pattern
+from jaxcrumple.assembly.sparsity import FULL, Pattern
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor, LinearSolution, identity_values
 from jaxcrumple.solvers.linear.block_jacobi import block_factors, pad_blocks, unit_blocks
 from jaxcrumple.solvers.linear.cg import conjugate_gradients
 
 # Cells of the coarse grid whose rows are multiplied together, so that their arrays stay in the cache.
 BATCH = 8
-# Precision of products: GPUs otherwise round the factors to 11 bits.
-FLOAT32 = jax.lax.Precision.HIGHEST
 # Shift of the scaled coarse matrix, because functions that hardly overlap the sheet are nearly dependent.
 SHIFT = 1e-10
 
@@ -90,8 +88,8 @@ class TwoLevel(AbstractLinearSolver):
             size = jnp.maximum(jnp.max(jnp.abs(r)), jnp.finfo(r.dtype).tiny)
             scaled = (r / size).astype(jnp.float32)
             # Row vector times matrix, because XLA on CPU would copy the transpose in every iteration.
-            half = jnp.matmul(levels.coarse, _restrict(space, weights, scaled), precision=FLOAT32)
-            smooth = jnp.matmul(half, levels.coarse, precision=FLOAT32)
+            half = jnp.matmul(levels.coarse, _restrict(space, weights, scaled), precision=FULL)
+            smooth = jnp.matmul(half, levels.coarse, precision=FULL)
             both = _solve_blocks(levels.blocks, scaled) + _prolong(space, weights, smooth)
             return size * both.astype(r.dtype)
 
@@ -114,8 +112,8 @@ def _solve_blocks(
 ) -> Float[Array, " unknowns"]:
     """Compute $L^{-T} L^{-1}$ r with the inverse factors (b, m, m) of the diagonal blocks."""
     count, size, _ = inverse.shape
-    half = jnp.einsum("bij,bj->bi", inverse, pad_blocks(r, count, size), precision=FLOAT32)
-    return jnp.einsum("bji,bj->bi", inverse, half, precision=FLOAT32).reshape(-1)[: r.shape[0]]
+    half = jnp.einsum("bij,bj->bi", inverse, pad_blocks(r, count, size), precision=FULL)
+    return jnp.einsum("bji,bj->bi", inverse, half, precision=FULL).reshape(-1)[: r.shape[0]]
 
 
 def _cell_weights(space: CoarseSpace) -> Float[Array, "cells functions members"]:
