@@ -14,8 +14,9 @@ from jaxcrumple._jax.program_cache import make_room
 from jaxcrumple._jax.tree import as_float, is_known, is_number, require_limit
 from jaxcrumple.contact.lists import motion
 from jaxcrumple.scene import Scene
+from jaxcrumple.solvers.contact.crossings import passes, unlisted_turn
 from jaxcrumple.solvers.contact.reallocate import Reallocation
-from jaxcrumple.solvers.contact.schedule import passes, unlisted_turn, without_matrix
+from jaxcrumple.solvers.contact.schedule import without_matrix
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
 from jaxcrumple.solvers.linear.registry import choose_linear_solver
 from jaxcrumple.solvers.start import check_gap, check_start

@@ -14,8 +14,8 @@ from jaxcrumple.contact.energy import closest_sites, energy
 from jaxcrumple.contact.lists import ContactLists, Reference, motion
 from jaxcrumple.contact.parameters import Contact
 from jaxcrumple.scene import Scene, require_scene
+from jaxcrumple.solvers.contact.crossings import unlisted_turn
 from jaxcrumple.solvers.contact.reallocate import with_contacts
-from jaxcrumple.solvers.contact.schedule import unlisted_turn
 from jaxcrumple.state import check_positions
 
 # Lists with a reference of their own; triangle pairs and sites are parts of the list of site pairs.

@@ -1,24 +1,19 @@
-"""Rebuild the contact lists during a run, limit the steps to them, and reject steps that would pass through
-the sheet or a wall."""
+"""Rebuild the contact lists during a run, and limit the steps to them."""
 
 import enum
 from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool
 
 from jaxcrumple._jax.arrays import Count, Flag, NodeValues, NodeVectors, Scalar
 from jaxcrumple._jax.batched_cond import where_needed
 from jaxcrumple._jax.tree import select
 from jaxcrumple.contact import coverage
 from jaxcrumple.contact.active_set import find_active
-from jaxcrumple.contact.adjacency import DUE_TURN, MOST_TURN
+from jaxcrumple.contact.adjacency import DUE_TURN
 from jaxcrumple.contact.broad_phase import find_candidates
-from jaxcrumple.contact.ccd import crosses
-from jaxcrumple.contact.coverage import covers
 from jaxcrumple.contact.lists import (
     CandidatePairs,
     ContactLists,
@@ -34,7 +29,6 @@ from jaxcrumple.contact.narrow_phase import find_pairs
 from jaxcrumple.contact.parameters import Contact
 from jaxcrumple.contact.skin import ACTIVE, CANDIDATES, MATRIX, PAIRS
 from jaxcrumple.history import NEVER
-from jaxcrumple.model.walls import Wall
 from jaxcrumple.scene import Scene, with_lists
 from jaxcrumple.state import Listing, State
 
@@ -205,17 +199,6 @@ def with_active(
     active = where_needed(wanted, find_active, lists.active, contact, lists, reference)
     state = eqx.tree_at(lambda s: s.listing.active, state, reference)
     return state, schedule._replace(lists=lists._replace(active=active))
-
-
-def unlisted_turn(scene: Scene, x: NodeVectors) -> Scalar:
-    """Return the largest turn in rad of the ways at nodes that the lists leave out, at positions `x` (n, 3).
-
-    If an upper bound is below `DUE_TURN`, the result is that bound; without contact it is 0.
-    """
-    if scene.contact is None:
-        return jnp.zeros(())
-    theta = scene.bending.hinges(x).theta
-    return coverage.largest_unlisted_turn(scene.contact, scene.own_lists.candidates, theta)
 
 
 def largest_move(
@@ -389,28 +372,3 @@ def _pair_reference(
     steps = PAIRS.steps_ahead(contact, moved)
     skin = margin + PAIRS.floor * contact.range + 0.5 * MARGIN * steps * moved
     return Reference(x + 0.5 * steps * (ahead - x), skin)
-
-
-def _comes_through(wall: Wall, state: State, beyond: Bool[Array, " nodes"]) -> Flag:
-    """Return whether some of the nodes `beyond` (n,) a wall after a step were on its near side before."""
-
-    def before() -> Flag:
-        return jnp.any(beyond & (wall.gap(state.x, state.t) >= 0))
-
-    return jax.lax.cond(jnp.any(beyond), before, lambda: jnp.asarray(False))
-
-
-def passes(scene: Scene, state: State, x: NodeVectors, t: Scalar, turn: Scalar) -> Flag:
-    """Return whether to reject a step to positions `x` (n, 3) at time `t` in s.
-
-    It is rejected if it would pass through a wall or the sheet itself, or leaves the motions that the lists
-    cover. `turn`: `unlisted_turn` in rad at `x`.
-    """
-    through = jnp.asarray(False)
-    for wall in scene.walls:
-        through = through | _comes_through(wall, state, wall.gap(x, t) < 0)
-    contact = scene.contact
-    if contact is None:
-        return through
-    lists = scene.own_lists
-    return through | ~covers(lists, x) | (turn > MOST_TURN) | crosses(contact, lists, state.x, x)

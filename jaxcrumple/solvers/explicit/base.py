@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeVectors, Scalar
 from jaxcrumple._jax.tree import as_float
 from jaxcrumple.scene import Scene
-from jaxcrumple.solvers.contact.schedule import passes, unlisted_turn
+from jaxcrumple.solvers.contact.crossings import passes, unlisted_turn
 from jaxcrumple.solvers.explicit.stability import Fastest, beside_walls
 from jaxcrumple.state import CAUSES, Slopes, State
 from jaxcrumple.system import rates

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeVectors, Scalar
 from jaxcrumple.history import Linearization
 from jaxcrumple.scene import Scene
-from jaxcrumple.solvers.contact.schedule import passes, unlisted_turn
+from jaxcrumple.solvers.contact.crossings import passes, unlisted_turn
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
 from jaxcrumple.state import CAUSES, IMPLICIT, State
 
