@@ -10,7 +10,12 @@ import pandas as pd
 from jaxcrumple.io import Run
 from jaxcrumple.measure import crease_length, mean_curvature
 from jaxcrumple.plot.figure import new_figure, save_figure
-from jaxcrumple.plot.plot import CURVATURE_LABEL, color_scale, draw_flat, draw_sheet
+from jaxcrumple.plot.plot import draw_flat
+from jaxcrumple.plot.sheet import CURVATURE_LABEL, color_scale, draw_sheet
+from jaxcrumple.plot.surroundings import walls_of
+
+# Longer side of a sheet in pixels.
+PANEL = 500
 
 
 class Moment(NamedTuple):
@@ -38,9 +43,9 @@ def plot_moments(shown: Sequence[Moment], caption: str, path: Path) -> Path:
     figure = new_figure((2.6 * len(shown) + 0.8, 5.4), caption)
     maps = []
     for column, (one, values) in enumerate(zip(shown, curvature, strict=True), 1):
-        space = figure.add_subplot(2, len(shown), column, projection="3d", proj_type="persp", title=one.title)
-        draw_sheet(space, one.run.mesh, one.run.x[one.frame], scale, values)
-        space.tick_params(labelsize=6)
+        space = figure.add_subplot(2, len(shown), column, title=one.title)
+        walls = walls_of(one.run, one.frame)
+        draw_sheet(space, one.run.mesh, one.run.x[one.frame], scale, values, walls=walls, pixels=PANEL)
         flat = figure.add_subplot(2, len(shown), len(shown) + column, aspect="equal", xticks=[], yticks=[])
         draw_flat(flat, one.run.mesh, scale, values)
         maps.append(flat)

@@ -8,32 +8,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import ArrayLike, Float, Real
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgba_array
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from jaxcrumple._jax.arrays import HingeValuesLike, NodeVectorsLike
 from jaxcrumple.io.run import Run, load
 from jaxcrumple.measure import DAMAGE, crease_pattern, mean_curvature, mountain_valley_length
-from jaxcrumple.measure.strain import positions
 from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.plot.figure import new_figure, save_figure
+from jaxcrumple.plot.sheet import CURVATURE_LABEL, color_scale, plot_sheet
+from jaxcrumple.plot.surroundings import walls_of
 from jaxcrumple.run.config import MaterialOptions, SolverOptions
 from jaxcrumple.solvers.log import AFTER, STEP
 from jaxcrumple.state import STAGES
 
-CURVATURE_LABEL = "mean curvature $H$ [1/m]"
-DIVERGING = "RdBu_r"  # red: convex as seen from the side of the face normals
 PALE = LinearSegmentedColormap.from_list("pale", ["#7fb2dc", "#f7f7f7", "#efa184"])  # lines stay visible
 MOUNTAIN, VALLEY = "#8e0012", "#0a2a6b"
 STAGE_COLORS = {"quasistatic": "#1f6fb4", "implicit": "#e8a33d", "explicit": "#d9541e"}
@@ -46,41 +42,6 @@ ENERGY_COLORS = {
     "extra": "#7f5ab0",
     "kinetic": "#777777",
 }
-# Shading: share of light on a face parallel to the light, and direction of the lamp.
-AMBIENT, LAMP = 0.45, (-0.4, -0.55, 0.75)
-# The largest curvatures occur at single sharp hinges; colours span the values of this share of the nodes.
-ROBUST = 0.98
-
-
-def plot_sheet(
-    mesh: Mesh,
-    x: NodeVectorsLike,
-    *,
-    color: Real[ArrayLike, " values"] | None = None,
-    label: str | None = None,
-    caption: str = "",
-    path: str | Path,
-) -> Path:
-    """Plot the shaded sheet in space, with equal scales in mm.
-
-    **Arguments:** `x` (n, 3): positions in m; `color`: one value per node (n,) or face (f,), by default the
-    mean curvature in 1/m; `label`: name and unit of `color`; `caption`: text above the figure, e.g. size and
-    tolerance of the run.
-
-    **Raises:** ValueError for a wrong shape or an unknown extension of `path`, `RunDirectoryError` if `path`
-    cannot be written.
-    """
-    x = positions(mesh, x)
-    values = mean_curvature(mesh, x) if color is None else np.asarray(color, dtype=np.float64)
-    label = CURVATURE_LABEL if color is None else label or ""
-    scale = color_scale(values, signed=color is None)
-    figure = new_figure((7.2, 6.0), caption)
-    axes: Any = figure.add_subplot(projection="3d", proj_type="persp")
-    draw_sheet(axes, mesh, x, scale, values)
-    for name in "xyz":
-        getattr(axes, f"set_{name}label")(f"{name} [mm]", labelpad=8)
-    figure.colorbar(scale, ax=axes, label=label, shrink=0.65, pad=0.1, extend="both")
-    return save_figure(figure, path)
 
 
 def plot_creases(
@@ -199,7 +160,7 @@ def plot_run(folder: str | Path) -> list[Path]:
     run = load(folder)
     caption, last, now = about(run), run.x[-1], about(run, t=run.t[-1])
     pictures = [
-        plot_sheet(run.mesh, last, caption=now, path=folder / "sheet.png"),
+        plot_sheet(run.mesh, last, walls=walls_of(run, -1), caption=now, path=folder / "sheet.png"),
         plot_creases(run.mesh, last, run.p[-1], caption=now, path=folder / "creases.png"),
     ]
     if len(run.history) and (run.history["kind"] == STEP).any():
@@ -225,21 +186,6 @@ def about(*runs: Run, t: float | None = None) -> str:
 # Parts
 
 
-def draw_sheet(
-    axes: Any,
-    mesh: Mesh,
-    x: Float[np.ndarray, "nodes 3"],
-    scale: ScalarMappable,
-    values: Float[np.ndarray, " ..."],
-) -> None:
-    """Draw the shaded sheet at positions `x` (n, 3) in m into three-dimensional axes in mm; `values` per node
-    or face set the colours."""
-    corners = 1e3 * x[mesh.faces]
-    colors = _shaded(scale.to_rgba(_on_faces(mesh, values)), corners)
-    axes.add_collection3d(Poly3DCollection(corners, facecolors=colors, edgecolors=colors, linewidths=0.2))
-    _equal_box(axes, 1e3 * x)
-
-
 def draw_flat(axes: Axes, mesh: Mesh, scale: ScalarMappable, values: Float[np.ndarray, " nodes"]) -> None:
     """Draw node `values` (n,) as colours on the flat sheet into axes in mm."""
     flat = 1e3 * mesh.vertices
@@ -258,51 +204,6 @@ def _thresholds(run: Run) -> list[float]:
     if np.isinf(unit):
         return []
     return [float(switch.down / unit), float(switch.up / unit)]
-
-
-def color_scale(values: Float[np.ndarray, " ..."], *, signed: bool) -> ScalarMappable:
-    """Return a colour scale: symmetric about 0 if `signed`, else from low to high; outliers saturate."""
-    finite = values[np.isfinite(values)]
-    if signed:
-        limit = float(np.quantile(np.abs(finite), ROBUST)) if len(finite) else 0.0
-        norm, colors = Normalize(-(limit or 1.0), limit or 1.0), DIVERGING
-    else:
-        low, high = np.quantile(finite, [1 - ROBUST, ROBUST]) if len(finite) else (0.0, 1.0)
-        norm, colors = Normalize(float(low), float(high) if high > low else float(low) + 1.0), "viridis"
-    scale = ScalarMappable(norm, colors)
-    scale.set_array(values)
-    return scale
-
-
-def _on_faces(mesh: Mesh, values: Float[np.ndarray, " ..."]) -> Float[np.ndarray, " faces"]:
-    if values.shape == (len(mesh.faces),):
-        return values
-    if values.shape == (mesh.n_nodes,):
-        return values[mesh.faces].mean(axis=1)
-    raise ValueError(f"color has shape {values.shape}; give one value per node or per face of the mesh")
-
-
-def _shaded(
-    colors: Float[np.ndarray, "faces 4"], corners: Float[np.ndarray, "faces 3 3"]
-) -> Float[np.ndarray, "faces 4"]:
-    """Darken face `colors` (f, 4) with the angle between face normal and lamp, equally on both sides."""
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
-    light = np.abs(normals @ np.array(LAMP)) / np.linalg.norm(LAMP)
-    shaded = to_rgba_array(colors)
-    shaded[:, :3] *= (AMBIENT + (1 - AMBIENT) * light)[:, None]
-    return shaded
-
-
-def _equal_box(axes: Any, x: Float[np.ndarray, "nodes 3"]) -> None:
-    """Set limits around the positions with equal scales on all axes; leave some height for a flat sheet."""
-    low, high = x.min(axis=0), x.max(axis=0)
-    half = np.maximum(high - low, 0.15 * (high - low).max()) / 2
-    middle = (low + high) / 2
-    for name, m, h in zip("xyz", middle, half, strict=True):
-        getattr(axes, f"set_{name}lim")(m - h, m + h)
-        getattr(axes, f"{name}axis").set_major_locator(MaxNLocator(max(2, round(6 * h / half.max()))))
-    axes.set_box_aspect(half, zoom=0.88)
 
 
 def _stage_lines(axes: Axes, steps: pd.DataFrame, column: str) -> None:

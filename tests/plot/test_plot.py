@@ -8,7 +8,7 @@ import pytest
 from pictures import colors
 
 from jaxcrumple import Material
-from jaxcrumple.io import RunDirectory, RunDirectoryError
+from jaxcrumple.io import RunDirectory
 from jaxcrumple.measure import hinge_curvature
 from jaxcrumple.mesh.generate import rectangle
 from jaxcrumple.plot import plot
@@ -47,37 +47,6 @@ def stiffness_of(mesh):
     return np.ones(len(mesh.edges)), np.ones(len(mesh.hinges))
 
 
-def test_sheet(tmp_path, mesh, folded, kept_figures):
-    figures = kept_figures(plot)
-    path = tmp_path / "sheet.png"
-    assert plot.plot_sheet(mesh, folded[0], caption="n = 300, rtol = 1e-4", path=path) == path
-    assert colors(path) > 100
-    axes, bar = figures[0].axes
-    assert figures[0].get_suptitle() == "n = 300, rtol = 1e-4"
-    assert bar.get_ylabel() == "mean curvature $H$ [1/m]"
-    spans = [np.ptp(limits) for limits in (axes.get_xlim(), axes.get_ylim(), axes.get_zlim())]
-    assert np.allclose(axes._box_aspect / axes._box_aspect[0], np.array(spans) / spans[0])  # equal scales
-    assert np.ptp(axes.get_xlim()) >= 1e3 * np.ptp(folded[0][:, 0])
-
-
-def _hues(rgba):
-    return len(np.unique(np.round(mpl.colors.rgb_to_hsv(rgba[:, :3])[:, 0], 3)))
-
-
-def test_sheet_in_other_colors(tmp_path, mesh, folded, kept_figures):
-    figures = kept_figures(plot)
-    seen = []
-    for color in (mesh.vertices[:, 0], mesh.face_area, np.zeros(mesh.n_nodes)):
-        seen.append(
-            colors(plot.plot_sheet(mesh, folded[0], color=color, label="m2", path=tmp_path / "a.png"))
-        )
-        assert figures[-1].axes[1].get_ylabel() == "m2"
-    assert min(seen) > 100
-    # Both faces of the same colours: a value of one node or triangle is seen, zeros are of one hue.
-    hues = [_hues(figure.axes[0].collections[0].get_facecolor()) for figure in figures]
-    assert hues[0] > 50 and hues[1] > 50 and hues[2] == 1
-
-
 def test_creases(tmp_path, mesh, folded, kept_figures):
     figures = kept_figures(plot)
     assert colors(plot.plot_creases(mesh, *folded, path=tmp_path / "c.png")) > 100
@@ -93,12 +62,10 @@ def test_creases(tmp_path, mesh, folded, kept_figures):
     assert [label.split(",")[0] for label in labels] == ["mountain", "valley"]
 
 
-def test_flat_new_sheet(tmp_path, mesh, kept_figures):
+def test_creases_of_a_new_sheet(tmp_path, mesh, kept_figures):
     figures = kept_figures(plot)
-    assert colors(plot.plot_sheet(mesh, mesh.vertices, path=tmp_path / "a.png")) > 100
     plot.plot_creases(mesh, mesh.vertices, mesh.rest_curvature, path=tmp_path / "b.png")
-    sheet, creases = figures
-    assert len(sheet.axes[0].collections[0].get_facecolor()) == len(mesh.faces)
+    (creases,) = figures
     assert [len(lines.get_segments()) for lines in creases.axes[0].collections[1:]] == [0, 0]
     assert [text.get_text() for text in creases.legends[0].get_texts()] == ["mountain, 0 cm", "valley, 0 cm"]
 
@@ -131,16 +98,6 @@ def test_empty_histories_are_refused(tmp_path, history):
             plot.plot_steps(table, path=tmp_path / "s.png")
         with pytest.raises(ValueError, match="no rows to plot"):
             plot.plot_energies(table, path=tmp_path / "s.png")
-
-
-def test_wrong_input_is_refused(tmp_path, mesh, folded):
-    with pytest.raises(ValueError, match="one value per node or per face"):
-        plot.plot_sheet(mesh, folded[0], color=np.zeros(3), path=tmp_path / "a.png")
-    with pytest.raises(ValueError, match="'bmpp' is not supported"):
-        plot.plot_sheet(mesh, folded[0], path=tmp_path / "a.bmpp")
-    with pytest.raises(RunDirectoryError, match="cannot write"):
-        plot.plot_sheet(mesh, folded[0], path=tmp_path / "nowhere" / "a.png")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_pictures_of_a_run(tmp_path, mesh, folded, history):
@@ -177,7 +134,7 @@ def test_thresholds_are_drawn_in_the_unit_of_the_axis(
     folder.append_history(history.to_numpy())
     folder.commit({}, {"t": 0.0})
     plot.plot_run(folder.path)
-    dashed = [line.get_ydata()[0] for line in figures[2].axes[1].lines if line.get_linestyle() == "--"]
+    dashed = [line.get_ydata()[0] for line in figures[1].axes[1].lines if line.get_linestyle() == "--"]
     if up is None:
         assert dashed == ([1e-6, 1e-3] if solver["scheme"] == "paper" else [])
         return

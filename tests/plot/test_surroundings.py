@@ -1,0 +1,46 @@
+"""Pictures show the walls that a run had."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+import pytest
+
+from jaxcrumple import Run, configure
+from jaxcrumple.plot.surroundings import walls_of
+from jaxcrumple.scenes.catalogue import SCENES
+
+
+def run_of(config, setup, t):
+    x = np.asarray(setup.x)[None]
+    return Run(
+        np.array([t]),
+        x,
+        0 * x,
+        np.zeros((1, len(setup.mesh.hinges))),
+        setup.mesh,
+        config,
+        {},
+        *2 * [pd.DataFrame()],
+    )
+
+
+@pytest.mark.parametrize("scene", sorted(SCENES))
+def test_walls_are_those_of_the_run(scene):
+    config = configure(scene, nodes=120)
+    setup, t = config.build(), 0.3 * config.t_end
+    walls = walls_of(run_of(config.model_dump(mode="json"), setup, t), 0)
+    assert len(walls.shapes) == len(setup.scene.walls) and walls.t == t
+    points = jnp.asarray(np.random.default_rng(0).uniform(-0.1, 0.1, (50, 3)))
+    for shape, wall in zip(walls.shapes, setup.scene.walls, strict=True):
+        gap = jax.vmap(shape.gap, (0, None))(points, t)
+        # Plates rest on the nodes of a mesh that is made faster, with fewer sweeps.
+        np.testing.assert_allclose(gap, jax.vmap(wall.shape.gap, (0, None))(points, t), atol=1e-4)
+
+
+def test_a_run_of_another_scene_or_version_has_none():
+    config = configure("radial", nodes=120)
+    setup = config.build()
+    for change in ({"scene": "python"}, {"scene": "file.py:mine"}, {"options": {"long_ago": 1}}):
+        changed = {**config.model_dump(mode="json"), **change}
+        assert walls_of(run_of(changed, setup, 0.0), 0).shapes == ()
