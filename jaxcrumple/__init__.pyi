@@ -29,6 +29,7 @@ from .model.walls import (
     Wall,
 )
 from .options.validation import ConfigError
+from .plot.picture import Picture, film, picture
 from .replays.record import Record
 from .replays.replay import Replay, replay
 from .run.config import configure
@@ -86,6 +87,7 @@ __all__ = [
     "MeshError",
     "MeshWarning",
     "Parameter",
+    "Picture",
     "PiecewiseLinear",
     "Plane",
     "Prescribed",
@@ -122,6 +124,7 @@ __all__ = [
     "enable_compilation_cache",
     "energies",
     "energy_drop",
+    "film",
     "fit",
     "fold",
     "fold_angle",
@@ -137,6 +140,7 @@ __all__ = [
     "load",
     "mass_matrix",
     "patch_test",
+    "picture",
     "potential_energy",
     "preset",
     "radial",

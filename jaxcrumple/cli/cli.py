@@ -11,6 +11,7 @@ import typer
 
 from jaxcrumple.cli.calibrate import calibrations
 from jaxcrumple.cli.console import ENDED, check_place, console, keep_programs, noted, run_program, say
+from jaxcrumple.cli.pictures import draw_run, plot
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -106,7 +107,7 @@ def run(
             summary = go([progress], max_seconds=limit)
         _report(summary)
     with noted(lambda: f"the run has ended and is saved; draw it with: {_command('plot', folder)}"):
-        pictures = _plot(folder)
+        pictures = draw_run(folder)
     for line in (*(f"picture: {picture}" for picture in pictures), f"all results: {folder}"):
         say(line)
     if summary["result"] == "budget":
@@ -337,15 +338,7 @@ def _print_options(model: "type[BaseModel]") -> None:
     console.print(f"  {model.__doc__}\n    {options}", markup=False)
 
 
-@app.command()
-def plot(folder: Annotated[Path, typer.Argument(help="Folder of a run, finished or not.")]) -> None:
-    """Draw the pictures of a run again, and write its frames for ParaView."""
-    from jaxcrumple.io import RunDirectory
-    from jaxcrumple.run.run import film
-
-    pictures = _plot(folder)
-    for picture in [*pictures, film(RunDirectory.open(folder))]:
-        say(str(picture))
+app.command()(plot)
 
 
 @app.command()
@@ -381,12 +374,6 @@ def repair(folder: Annotated[Path, typer.Argument(help="Folder of a run.")]) -> 
     if pictures := sorted(path.name for path in folder.glob("*.png")):
         say(f"pictures from before the repair: {', '.join(pictures)}")
     say(f"{folder} is at t = {t:.4g} s again; go on with: {go_on}")
-
-
-def _plot(folder: Path) -> list[Path]:
-    from jaxcrumple.plot.plot import plot_run
-
-    return plot_run(folder)
 
 
 def _report(summary: dict) -> None:

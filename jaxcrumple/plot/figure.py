@@ -10,6 +10,9 @@ from matplotlib.figure import Figure
 
 from jaxcrumple.io.atomic import write_bytes
 
+# Dots per inch of pictures of pixels.
+DPI = 160
+
 
 def new_figure(size: tuple[float, float], caption: str) -> Figure:
     """Create an empty figure of `size` in inches; write the `caption` above unless it is empty."""
@@ -27,6 +30,6 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
     """
     path = Path(path)
     buffer = io.BytesIO()
-    figure.savefig(buffer, format=path.suffix[1:].lower() or "png", dpi=160)
+    figure.savefig(buffer, format=path.suffix[1:].lower() or "png", dpi=DPI)
     write_bytes(path, buffer.getvalue())
     return path

@@ -24,8 +24,8 @@ from jaxcrumple.io.run import Run, load
 from jaxcrumple.measure import DAMAGE, crease_pattern, mean_curvature, mountain_valley_length
 from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.plot.figure import new_figure, save_figure
-from jaxcrumple.plot.sheet import CURVATURE_LABEL, color_scale, plot_sheet
-from jaxcrumple.plot.surroundings import walls_of
+from jaxcrumple.plot.sheet import CURVATURE_LABEL, Walls, color_scale, plot_sheet
+from jaxcrumple.plot.surroundings import wall_shapes
 from jaxcrumple.run.config import MaterialOptions, SolverOptions
 from jaxcrumple.solvers.log import AFTER, STEP
 from jaxcrumple.state import STAGES
@@ -159,8 +159,9 @@ def plot_run(folder: str | Path) -> list[Path]:
     folder = Path(folder)
     run = load(folder)
     caption, last, now = about(run), run.x[-1], about(run, t=run.t[-1])
+    walls = Walls(wall_shapes(run), float(run.t[-1]))
     pictures = [
-        plot_sheet(run.mesh, last, walls=walls_of(run, -1), caption=now, path=folder / "sheet.png"),
+        plot_sheet(run.mesh, last, walls=walls, caption=now, path=folder / "sheet.png"),
         plot_creases(run.mesh, last, run.p[-1], caption=now, path=folder / "creases.png"),
     ]
     if len(run.history) and (run.history["kind"] == STEP).any():

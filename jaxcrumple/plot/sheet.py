@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize, to_rgb
+from matplotlib.figure import Figure
 
 from jaxcrumple._jax.arrays import NodeVectorsLike
 from jaxcrumple.measure import mean_curvature
@@ -74,18 +76,35 @@ def plot_sheet(
     `RunDirectoryError` if `path` cannot be written.
     """
     x = positions(mesh, x)
-    figure = new_figure((7.2, 6.0), caption)
-    axes = figure.add_subplot()
     camera = camera_of(x, walls, view, up)
+    draw = partial(sheet_figure, mesh, x, camera=camera, walls=walls, pixels=pixels, caption=caption)
     if isinstance(color, str):
-        draw_sheet(axes, mesh, x, color, camera=camera, walls=walls, pixels=pixels)
-        return save_figure(figure, path)
+        return save_figure(draw(color), path)
     values = mean_curvature(mesh, x) if color is None else np.asarray(color, dtype=np.float64)
     label = CURVATURE_LABEL if color is None else label or ""
-    scale = color_scale(values, signed=color is None)
-    draw_sheet(axes, mesh, x, scale, values, camera=camera, walls=walls, pixels=pixels)
-    figure.colorbar(scale, ax=axes, label=label, shrink=0.65, extend="both")
-    return save_figure(figure, path)
+    return save_figure(draw(color_scale(values, signed=color is None), values, label=label), path)
+
+
+def sheet_figure(
+    mesh: Mesh,
+    x: Float[np.ndarray, "nodes 3"],
+    color: ScalarMappable | str,
+    values: Float[np.ndarray, " ..."] | None = None,
+    *,
+    label: str = "",
+    camera: Camera,
+    walls: Walls,
+    pixels: int,
+    caption: str,
+) -> Figure:
+    """Return a figure of the sheet with the colour bar of a scale; arguments as of `plot_sheet` and
+    `draw_sheet`."""
+    figure = new_figure((7.2, 6.0), caption)
+    axes = figure.add_subplot()
+    draw_sheet(axes, mesh, x, color, values, camera=camera, walls=walls, pixels=pixels)
+    if not isinstance(color, str):
+        figure.colorbar(color, ax=axes, label=label, shrink=0.65, extend="both")
+    return figure
 
 
 def draw_sheet(

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from pydantic import ValidationError
+from collections.abc import Sequence
 
 from jaxcrumple.io.run import Run
-from jaxcrumple.plot.sheet import NO_WALLS, Walls
+from jaxcrumple.model.walls import AbstractShape
 from jaxcrumple.run.config import RunConfig
 from jaxcrumple.scenes.catalogue import SCENES
 
@@ -13,15 +13,15 @@ from jaxcrumple.scenes.catalogue import SCENES
 QUICK = {"contact": None, "contact_range": None, "contact_level": None, "sweeps": 0}
 
 
-def walls_of(run: Run, frame: int) -> Walls:
-    """Return the walls of a run at the time of a frame; none for a scene that its options do not tell."""
+def wall_shapes(run: Run) -> Sequence[AbstractShape]:
+    """Return the walls of a run; none for a scene that its options do not tell."""
     if run.config.get("scene") not in SCENES:
-        return NO_WALLS
+        return ()
     try:
         config = RunConfig(**run.config)
         options = {**config.options, **{name: QUICK[name] for name in QUICK if name in config.options}}
-        scene = config.model_copy(update={"options": options}).build().scene
-    except (ValidationError, ValueError, TypeError):
+        walls = config.model_copy(update={"options": options}).build().scene.walls
+    except (ValueError, TypeError):
         # A run of an older version.
-        return NO_WALLS
-    return Walls([wall.shape for wall in scene.walls], float(run.t[frame]))
+        return ()
+    return [wall.shape for wall in walls]

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from jaxcrumple import Run, configure
-from jaxcrumple.plot.surroundings import walls_of
+from jaxcrumple.plot.surroundings import wall_shapes
 from jaxcrumple.scenes.catalogue import SCENES
 
 
@@ -29,10 +29,10 @@ def run_of(config, setup, t):
 def test_walls_are_those_of_the_run(scene):
     config = configure(scene, nodes=120)
     setup, t = config.build(), 0.3 * config.t_end
-    walls = walls_of(run_of(config.model_dump(mode="json"), setup, t), 0)
-    assert len(walls.shapes) == len(setup.scene.walls) and walls.t == t
+    walls = wall_shapes(run_of(config.model_dump(mode="json"), setup, t))
+    assert len(walls) == len(setup.scene.walls)
     points = jnp.asarray(np.random.default_rng(0).uniform(-0.1, 0.1, (50, 3)))
-    for shape, wall in zip(walls.shapes, setup.scene.walls, strict=True):
+    for shape, wall in zip(walls, setup.scene.walls, strict=True):
         gap = jax.vmap(shape.gap, (0, None))(points, t)
         # Plates rest on the nodes of a mesh that is made faster, with fewer sweeps.
         np.testing.assert_allclose(gap, jax.vmap(wall.shape.gap, (0, None))(points, t), atol=1e-4)
@@ -43,4 +43,4 @@ def test_a_run_of_another_scene_or_version_has_none():
     setup = config.build()
     for change in ({"scene": "python"}, {"scene": "file.py:mine"}, {"options": {"long_ago": 1}}):
         changed = {**config.model_dump(mode="json"), **change}
-        assert walls_of(run_of(changed, setup, 0.0), 0).shapes == ()
+        assert wall_shapes(run_of(changed, setup, 0.0)) == ()

@@ -1,0 +1,78 @@
+"""Values that pictures of a run can show as colours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxcrumple.contact.energy import force
+from jaxcrumple.io.run import Run
+from jaxcrumple.measure import edge_strain, mean_curvature, node_damage
+from jaxcrumple.measure.density import face_edges
+from jaxcrumple.options.suggest import nearest
+from jaxcrumple.plot.sheet import CURVATURE_LABEL
+from jaxcrumple.run.config import RunConfig
+from jaxcrumple.scenes.catalogue import SCENES
+from jaxcrumple.solvers.contact.reallocate import with_contacts
+
+Values = Float[np.ndarray, " ..."]
+
+
+class FieldKind(NamedTuple):
+    """Describe a field: its `label` with unit, whether its colours are symmetric about 0 (`signed`), and its
+    values per node (n,) or triangle (f,) at a frame of a run, by index."""
+
+    label: str
+    signed: bool
+    values: Callable[[Run, int], Values]
+
+
+def _curvature(run: Run, frame: int) -> Values:
+    return mean_curvature(run.mesh, run.x[frame])
+
+
+def _damage(run: Run, frame: int) -> Values:
+    return node_damage(run.mesh, run.p[frame])
+
+
+def _strain(run: Run, frame: int) -> Values:
+    """Return the strain (f,) in % of the side of each triangle that is strained most."""
+    strain = 100.0 * edge_strain(run.mesh, run.x[frame])[face_edges(run.mesh)]
+    return np.take_along_axis(strain, np.argmax(np.abs(strain), axis=1)[:, None], axis=1)[:, 0]
+
+
+def _contact(run: Run, frame: int) -> Values:
+    """Return the contact force on each node, in its area, in kPa."""
+    if run.config.get("scene") not in SCENES:
+        raise ValueError("the contact force needs a run of a named scene; choose another field.")
+    setup = RunConfig(**run.config).build()
+    x = jnp.asarray(run.x[frame])
+    scene = with_contacts(setup.scene, x)
+    if scene.contact is None:
+        return np.zeros(run.mesh.n_nodes)
+    push = np.linalg.norm(np.asarray(force(scene.contact, scene.own_lists, x)), axis=1)
+    return 1e-3 * push / run.mesh.node_area
+
+
+# The first one is the default. "paper" shows the shape alone.
+FIELDS: dict[str, FieldKind | None] = {
+    "curvature": FieldKind(CURVATURE_LABEL, True, _curvature),
+    "damage": FieldKind("largest change of rest curvature $|p - p_{rest}|$ [-]", False, _damage),
+    "strain": FieldKind("largest edge strain [%]", True, _strain),
+    "contact": FieldKind("contact force per area [kPa]", False, _contact),
+    "paper": None,
+}
+
+
+def field_kind(name: str) -> FieldKind | None:
+    """Return the field of a name.
+
+    **Raises:** ValueError for an unknown name.
+    """
+    if name not in FIELDS:
+        raise ValueError(f"field {name!r} is unknown{nearest(name, FIELDS)}")
+    return FIELDS[name]

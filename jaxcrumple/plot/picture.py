@@ -1,0 +1,200 @@
+"""Pictures and films of a run, in a notebook or as files."""
+
+from __future__ import annotations
+
+import io
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.figure import Figure
+
+from jaxcrumple.io.atomic import write_bytes
+from jaxcrumple.io.run import Run
+from jaxcrumple.model.walls import AbstractShape
+from jaxcrumple.plot.camera import UP, VIEW, Camera
+from jaxcrumple.plot.fields import field_kind
+from jaxcrumple.plot.figure import DPI, save_figure
+from jaxcrumple.plot.plot import about
+from jaxcrumple.plot.sheet import PAPER, PIXELS, Walls, camera_of, color_scale, sheet_figure
+from jaxcrumple.plot.surroundings import wall_shapes
+
+# Frames per second of a film, longer side of its sheet in pixels, and its dots per inch.
+RATE, FILM_PIXELS, FILM_DPI = 10.0, 700, 100
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture that a notebook shows."""
+
+    figure: Figure
+
+    def _repr_png_(self) -> bytes:
+        return _encoded(self.figure)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the picture in the format of the extension of `path` (.png, .pdf, .svg, ...).
+
+        **Raises:** ValueError for an unknown extension, `RunDirectoryError` if `path` cannot be written.
+        """
+        return save_figure(self.figure, path)
+
+
+class _Look(NamedTuple):
+    """Hold what all pictures of a run share: the colour `scale` of a `field`, the `shapes` of its walls, and
+    the `camera`."""
+
+    field: str
+    shapes: Sequence[AbstractShape]
+    pixels: int
+    camera: Camera
+    scale: ScalarMappable | None
+
+
+def picture(
+    run: Run,
+    frame: int = -1,
+    *,
+    field: str = "curvature",
+    walls: bool = True,
+    view: Sequence[float] = VIEW,
+    up: Sequence[float] = UP,
+    pixels: int = PIXELS,
+) -> Picture:
+    """Draw a frame of a run, by index, in space.
+
+    **Arguments:** `field`: "curvature", "damage", "strain", "contact", or "paper" for the shape alone;
+    `walls`: whether to show the walls of a named scene; `view` (3,): direction from the sheet to the camera,
+    with `up` (3,) vertical; `pixels`: of the longer side of the sheet.
+
+    **Raises:** ValueError for an unknown field, a frame that the run does not have, or a `view` along `up`.
+    """
+    return Picture(
+        _drawn(run, _number(run, frame), _look(run, [_number(run, frame)], field, walls, view, up, pixels))
+    )
+
+
+def film(
+    run: Run,
+    path: str | Path,
+    *,
+    frames: Sequence[int] | None = None,
+    field: str = "curvature",
+    walls: bool = True,
+    view: Sequence[float] = VIEW,
+    up: Sequence[float] = UP,
+    pixels: int = FILM_PIXELS,
+    rate: float = RATE,
+) -> Path:
+    """Write a film of a run as .gif or .mp4, with one camera and one colour scale, and return `path`.
+
+    An MP4 needs the extra `film` (PyAV).
+
+    **Arguments:** `frames`: indices, by default all; `rate`: frames per second; others as of `picture`.
+
+    **Raises:** as `picture`; ValueError for another extension, ImportError without the extra.
+    """
+    path = Path(path)
+    kind = path.suffix.lower()
+    if kind not in (".gif", ".mp4"):
+        raise ValueError(f"{path.name!r} is no film: end its name in .gif or .mp4.")
+    chosen = [_number(run, frame) for frame in (range(len(run.t)) if frames is None else frames)]
+    look = _look(run, chosen, field, walls, view, up, pixels)
+    images = (_pixels_of(_drawn(run, frame, look)) for frame in chosen)
+    write_bytes(path, _gif(images, rate) if kind == ".gif" else _mp4(images, rate))
+    return path
+
+
+def _number(run: Run, frame: int) -> int:
+    """Return the index of a frame from 0 on."""
+    if not -len(run.t) <= frame < len(run.t):
+        raise ValueError(f"frame {frame} does not exist: the run has {len(run.t)} frames.")
+    return frame % len(run.t)
+
+
+def _look(
+    run: Run,
+    frames: Sequence[int],
+    field: str,
+    walls: bool,
+    view: Sequence[float],
+    up: Sequence[float],
+    pixels: int,
+) -> _Look:
+    """Return the look of pictures of all `frames`: the camera sees all of them, and colours span them all."""
+    kind = field_kind(field)
+    shapes = wall_shapes(run) if walls else ()
+    camera = camera_of(run.x[frames].reshape(-1, 3), Walls(shapes, float(run.t[frames[0]])), view, up)
+    scale = None
+    if kind is not None:
+        values = np.concatenate([kind.values(run, frame) for frame in frames])
+        scale = color_scale(values, signed=kind.signed)
+    return _Look(field, shapes, pixels, camera, scale)
+
+
+def _drawn(run: Run, frame: int, look: _Look) -> Figure:
+    """Return the figure of a frame."""
+    kind = field_kind(look.field)
+    color = PAPER if look.scale is None else look.scale
+    return sheet_figure(
+        run.mesh,
+        run.x[frame],
+        color,
+        None if kind is None else kind.values(run, frame),
+        label="" if kind is None else kind.label,
+        camera=look.camera,
+        walls=Walls(look.shapes, float(run.t[frame])),
+        pixels=look.pixels,
+        caption=about(run, t=run.t[frame]),
+    )
+
+
+def _encoded(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DPI)
+    return buffer.getvalue()
+
+
+def _pixels_of(figure: Figure) -> np.ndarray:
+    """Return the image (rows, columns, 3) of a figure, with even numbers of pixels, as most codecs ask."""
+    figure.set_dpi(FILM_DPI)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    image = np.asarray(canvas.buffer_rgba())[..., :3]
+    return np.ascontiguousarray(image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2])
+
+
+def _gif(images: Iterator[np.ndarray], rate: float) -> bytes:
+    """Encode images (rows, columns, 3) as GIF."""
+    from PIL import Image
+
+    first, *rest = (Image.fromarray(image).quantize(dither=Image.Dither.NONE) for image in images)
+    buffer = io.BytesIO()
+    duration = round(1000.0 / rate)
+    first.save(buffer, "GIF", save_all=True, append_images=rest, duration=duration, loop=0)
+    return buffer.getvalue()
+
+
+def _mp4(images: Iterator[np.ndarray], rate: float) -> bytes:
+    """Encode images (rows, columns, 3) as MP4 (H.264)."""
+    try:
+        import av
+    except ImportError as error:
+        raise ImportError("an MP4 needs PyAV: pip install 'jaxcrumple[film]', or write a .gif.") from error
+    buffer = io.BytesIO()
+    with av.open(buffer, "w", format="mp4") as container:
+        stream = container.add_stream("libx264", rate=Fraction(rate).limit_denominator(1000))
+        # Players expect this format; a lower `crf` is a better picture.
+        stream.pix_fmt, stream.options = "yuv420p", {"crf": "18"}
+        first = next(images)
+        stream.height, stream.width = first.shape[:2]
+        for image in itertools.chain([first], images):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        container.mux(stream.encode())
+    return buffer.getvalue()

@@ -1,0 +1,91 @@
+"""Pictures and films of a run show what was asked for, with one camera and one scale."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+from jaxcrumple import Run, configure
+from jaxcrumple.measure import edge_strain
+from jaxcrumple.plot import picture as picture_module
+from jaxcrumple.plot.fields import FIELDS
+from jaxcrumple.plot.picture import film, picture
+
+
+@pytest.fixture(scope="module")
+def run():
+    """Four frames of a sheet that is folded onto itself along the x axis, and stretched along it."""
+    config = configure("radial", nodes=120)
+    mesh = config.build().mesh
+    along, across = mesh.vertices[:, 0], mesh.vertices[:, 1]
+    x = np.array(
+        [
+            np.stack([1.02 * along, np.abs(across) * np.sin(turn), across * np.cos(turn)], axis=1)
+            for turn in (0.0, 0.8, 1.4, 1.5665)
+        ]
+    )
+    p = np.tile(mesh.rest_curvature, (4, 1))
+    p[3, 5] += 0.7
+    config, table = config.model_dump(mode="json"), pd.DataFrame()
+    return Run(np.linspace(0, 0.3, 4), x, 0 * x, p, mesh, config, {}, table, table)
+
+
+@pytest.mark.parametrize("field", list(FIELDS))
+def test_fields(run, field, tmp_path):
+    drawn = picture(run, field=field, walls=False, pixels=120)
+    kind = FIELDS[field]
+    assert [axes.get_ylabel() for axes in drawn.figure.axes[1:]] == ([] if kind is None else [kind.label])
+    assert drawn._repr_png_()[1:4] == b"PNG"
+    assert drawn.save(tmp_path / "a.pdf").read_bytes()[:4] == b"%PDF"
+
+
+def test_values(run):
+    damage = FIELDS["damage"].values(run, 3)
+    ends = run.mesh.hinges[5, :2]
+    assert damage[ends] == pytest.approx(0.7) and np.delete(damage, ends).max() == 0
+    strain = FIELDS["strain"].values(run, 0)
+    assert np.abs(strain).max() == pytest.approx(100 * np.abs(edge_strain(run.mesh, run.x[0])).max())
+    assert strain.shape == (len(run.mesh.faces),) and strain.min() > -1e-9
+
+
+def test_contact_force_of_two_layers(run):
+    """The halves of the flat sheet do not touch; at half the range and less they do."""
+    flat = FIELDS["contact"].values(run, 0)
+    pressed = FIELDS["contact"].values(run, 3)
+    away = np.abs(run.mesh.vertices[:, 1]) > 0.02
+    assert flat.max() == 0 and np.median(pressed[away]) > 0
+
+
+def test_a_film_has_one_camera_and_one_scale(run, tmp_path, monkeypatch):
+    drawn, figure = [], picture_module.sheet_figure
+
+    def kept(*args, **kwargs):
+        drawn.append((args[2], kwargs))
+        return figure(*args, **kwargs)
+
+    monkeypatch.setattr(picture_module, "sheet_figure", kept)
+    path = film(run, tmp_path / "a.gif", field="strain", pixels=100, rate=5)
+    assert len({id(scale) for scale, _ in drawn}) == len({id(kwargs["camera"]) for _, kwargs in drawn}) == 1
+    assert [kwargs["walls"].t for _, kwargs in drawn] == pytest.approx(run.t)
+    with Image.open(path) as image:
+        assert image.n_frames == 4 and image.info["duration"] == 200
+    film(run, tmp_path / "b.gif", frames=[-1, 0], pixels=100)
+    assert [kwargs["walls"].t for _, kwargs in drawn[4:]] == pytest.approx([0.3, 0.0])
+
+
+def test_mp4(run, tmp_path):
+    av = pytest.importorskip("av", reason="the extra film is not installed")
+    path = film(run, tmp_path / "a.mp4", pixels=100, walls=False)
+    with av.open(str(path)) as video:
+        assert len(list(video.decode(video=0))) == 4
+        assert float(video.streams.video[0].average_rate) == 10
+
+
+def test_wrong_input_is_refused(run, tmp_path):
+    with pytest.raises(ValueError, match="field 'curvatur' is unknown; did you mean 'curvature'"):
+        picture(run, field="curvatur")
+    with pytest.raises(ValueError, match="frame 4 does not exist: the run has 4 frames"):
+        picture(run, 4)
+    with pytest.raises(ValueError, match="is no film: end its name in"):
+        film(run, tmp_path / "a.avi")
+    assert list(tmp_path.iterdir()) == []
