@@ -62,6 +62,7 @@ from .sweeps.campaign import campaign
 from .sweeps.cases import grid
 from .sweeps.sweep import sweep
 from .system import elastic_tangent, energies, force, mass_matrix, potential_energy, tangent
+from .view.page import view
 
 __all__ = [
     "PRESETS",
@@ -161,6 +162,7 @@ __all__ = [
     "sweep",
     "tangent",
     "unload",
+    "view",
     "with_contacts",
     "write_scene_file",
 ]

@@ -11,7 +11,7 @@ import typer
 
 from jaxcrumple.cli.calibrate import calibrations
 from jaxcrumple.cli.console import ENDED, check_place, console, keep_programs, noted, run_program, say
-from jaxcrumple.cli.pictures import draw_run, plot
+from jaxcrumple.cli.pictures import draw_run, plot, view
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -339,6 +339,7 @@ def _print_options(model: "type[BaseModel]") -> None:
 
 
 app.command()(plot)
+app.command()(view)
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""Command `jaxcrumple plot`: pictures and films of a run."""
+"""Commands `jaxcrumple plot` and `jaxcrumple view`: pictures, films and pages of runs."""
 
 from pathlib import Path
 from typing import Annotated
@@ -28,6 +28,25 @@ def plot(
     """Draw the pictures of a run again, and write its frames for ParaView; or draw one picture or a film."""
     for picture in _all(folder) if out is None else [_one(folder, out, field, frame, view, walls)]:
         say(str(picture))
+
+
+def view(
+    folders: Annotated[list[Path], typer.Argument(help="Folders of one run, or of several to compare.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="The page (default: view.html in the folder of one run, or here)."),
+    ] = None,
+    show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
+) -> None:
+    """Write a page to turn runs in a browser, offline: the sheet over time, its creases and energies."""
+    import webbrowser
+
+    from jaxcrumple.view.page import view as write
+
+    target = out or (folders[0] / "view.html" if len(folders) == 1 else Path("view.html"))
+    say(str(write(folders, target)))
+    if show:
+        webbrowser.open(target.resolve().as_uri())
 
 
 def draw_run(folder: Path) -> list[Path]:

@@ -1,11 +1,10 @@
 """Pictures and films of a run show what was asked for, with one camera and one scale."""
 
 import numpy as np
-import pandas as pd
 import pytest
+from folding import folding_run
 from PIL import Image
 
-from jaxcrumple import Run, configure
 from jaxcrumple.measure import edge_strain
 from jaxcrumple.plot import picture as picture_module
 from jaxcrumple.plot.fields import FIELDS
@@ -14,20 +13,7 @@ from jaxcrumple.plot.picture import film, picture
 
 @pytest.fixture(scope="module")
 def run():
-    """Four frames of a sheet that is folded onto itself along the x axis, and stretched along it."""
-    config = configure("radial", nodes=120)
-    mesh = config.build().mesh
-    along, across = mesh.vertices[:, 0], mesh.vertices[:, 1]
-    x = np.array(
-        [
-            np.stack([1.02 * along, np.abs(across) * np.sin(turn), across * np.cos(turn)], axis=1)
-            for turn in (0.0, 0.8, 1.4, 1.5665)
-        ]
-    )
-    p = np.tile(mesh.rest_curvature, (4, 1))
-    p[3, 5] += 0.7
-    config, table = config.model_dump(mode="json"), pd.DataFrame()
-    return Run(np.linspace(0, 0.3, 4), x, 0 * x, p, mesh, config, {}, table, table)
+    return folding_run()
 
 
 @pytest.mark.parametrize("field", list(FIELDS))

@@ -1,0 +1,171 @@
+"use strict";
+// Build the page: a panel for each run, and one clock for all.
+
+const $ = (name) => document.getElementById(name);
+
+function tell(text) {
+  $("message").textContent = text;
+  $("message").hidden = false;
+}
+
+function section(about, number) {
+  const element = document.createElement("section");
+  element.className = "run";
+  element.innerHTML = `<h2></h2><p class="about"></p>
+    <div class="views">
+      <div class="view space" tabindex="0" role="img"><span class="bar"></span></div>
+      <div class="view pattern" role="img"><span class="caption">red: mountain, blue: valley</span><span class="bar"></span></div>
+    </div>
+    <p class="status" id="status-${number}"></p>
+    <svg class="chart" role="img" aria-describedby="status-${number}"></svg>`;
+  const frames = about.t.length;
+  element.querySelector("h2").textContent = about.name;
+  element.querySelector(".about").textContent = `${about.about}; ${frames} frames; ${about.result}`;
+  element.querySelector(".space").setAttribute("aria-label", `Sheet of ${about.name} in space; drag to turn, scroll to zoom, arrow keys to move`);
+  element.querySelector(".pattern").setAttribute("aria-label", `Crease pattern of ${about.name} on the flat sheet`);
+  element.querySelector(".chart").setAttribute("aria-label", `Energies of ${about.name} over time; click to go to a time`);
+  $("runs").append(element);
+  return element;
+}
+
+class Page {
+  constructor(about, surfaces) {
+    this.palette = about.palette;
+    this.tables = { true: linear(about.palette.signed), false: linear(about.palette.plain) };
+    this.field = "curvature";
+    this.end = Math.max(...about.runs.map((run) => run.t[run.t.length - 1]));
+    this.renderer = new THREE.WebGLRenderer({ canvas: $("canvas"), antialias: true });
+    this.renderer.setClearColor(0xffffff);
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.renderer.setScissorTest(true);
+    this.renderer.toneMapping = THREE.NoToneMapping;
+    this.redraw = () => { this.pending ??= requestAnimationFrame(() => { this.pending = null; this.draw(); }); };
+    this.panels = surfaces.map((surface, i) => this._panel(surface, section(surface.about, i)));
+    this.t = this.end;
+    this._controls();
+    this.goTo(this.end);
+  }
+
+  _panel(surface, element) {
+    const panel = new Panel(surface, element, this.redraw);
+    panel.chart = new Chart(element.querySelector(".chart"), surface.about, this.palette.energies, (t) => this.goTo(t));
+    panel.status = element.querySelector(".status");
+    panel.onpoint = () => this._describe(panel);
+    return panel;
+  }
+
+  _describe(panel) {
+    const { surface, marked } = panel;
+    let text = panel.chart.describe(this.t);
+    const found = marked && surface.valueAt(this.field, marked.face, marked.weights);
+    if (found) text += `; here ${found.beyond ? "beyond " : ""}${found.value.toPrecision(2)} (${surface.about.fields[this.field].label})`;
+    panel.status.textContent = text;
+  }
+
+  _controls() {
+    for (const [name, field] of [...Object.entries(this.panels[0].surface.about.fields), ["paper", { label: "none" }]]) {
+      $("field").add(new Option(field.label, name, false, name === this.field));
+    }
+    Object.assign($("time"), { max: this.end, value: this.end });
+    $("time").addEventListener("input", () => this.goTo(+$("time").value));
+    $("field").addEventListener("change", () => { this.field = $("field").value === "paper" ? null : $("field").value; this.goTo(this.t); });
+    $("walls").addEventListener("change", () => { for (const panel of this.panels) panel.walls.visible = $("walls").checked; this.redraw(); });
+    $("fit").addEventListener("change", () => { for (const panel of this.panels) panel.fits = $("fit").checked; this.redraw(); });
+    $("walls").parentElement.hidden = !this.panels.some((panel) => panel.walls.children.length);
+    $("play").addEventListener("click", () => this.play(!this.playing));
+    $("home").addEventListener("click", () => { for (const panel of this.panels) panel.home(); });
+    addEventListener("keydown", (event) => this._key(event));
+    addEventListener("resize", this.redraw);
+    addEventListener("scroll", this.redraw, true);
+  }
+
+  _key(event) {
+    if (event.target.closest("select, button, input[type=checkbox]") || event.ctrlKey || event.metaKey || event.altKey) return;
+    const frame = (event.key === "ArrowRight" || event.key === ".") - (event.key === "ArrowLeft" || event.key === ",");
+    if (event.key === " ") this.play(!this.playing);
+    else if (event.key === "r") $("home").click();
+    else if (event.key === "Home") this.goTo(0);
+    else if (event.key === "End") this.goTo(this.end);
+    else if (frame && !event.target.closest(".space")) this.step(frame);
+    else return;
+    event.preventDefault();
+  }
+
+  // Go to the next or the last frame of the run with the most frames.
+  step(by) {
+    const times = this.panels.map((panel) => panel.surface.times).reduce((a, b) => (b.length > a.length ? b : a));
+    const here = times.findIndex((t) => t >= this.t - 1e-12 * this.end);
+    const exact = here >= 0 && Math.abs(times[here] - this.t) < 1e-9 * this.end;
+    const next = here < 0 ? times.length - 1 : here + (by > 0 && !exact ? 0 : by);
+    this.goTo(times[Math.min(Math.max(next, 0), times.length - 1)]);
+  }
+
+  goTo(t) {
+    this.t = Math.min(Math.max(t, 0), this.end);
+    $("time").value = this.t;
+    $("clock").textContent = `${this.t.toPrecision(4)} s`;
+    $("time").setAttribute("aria-valuetext", `${this.t.toPrecision(4)} seconds`);
+    this._scale();
+    for (const panel of this.panels) {
+      const table = this.field === null ? null : this._table(panel);
+      panel.update(this.t, this.field, table);
+      panel.chart.move(this.t);
+      this._describe(panel);
+    }
+    this.redraw();
+  }
+
+  _table(panel) { return this.tables[panel.surface.about.fields[this.field].signed]; }
+
+  // The colours and their range, which is the same for all runs.
+  _scale() {
+    $("scale").hidden = this.field === null;
+    if (this.field === null || this.scaled === this.field) return;
+    this.scaled = this.field;
+    const [panel] = this.panels, { low, high, label } = panel.surface.about.fields[this.field];
+    const { signed } = panel.surface.about.fields[this.field], table = signed ? this.palette.signed : this.palette.plain;
+    const context = $("colours").getContext("2d"), image = context.createImageData(256, 1);
+    for (let k = 0; k < 256; k++) image.data.set([table[3 * k], table[3 * k + 1], table[3 * k + 2], 255], 4 * k);
+    context.putImageData(image, 0, 0);
+    $("low").textContent = low.toPrecision(2);
+    $("high").textContent = high.toPrecision(2);
+    $("scale").setAttribute("aria-label", `Colours from ${low.toPrecision(2)} to ${high.toPrecision(2)}: ${label}`);
+  }
+
+  play(on) {
+    this.playing = on;
+    $("play").textContent = on ? "Pause" : "Play";
+    $("play").setAttribute("aria-pressed", on);
+    if (!on) return;
+    let last = performance.now(), t = this.t >= this.end ? 0 : this.t;
+    const advance = (now) => {
+      if (!this.playing) return;
+      // All of a run in 12 seconds.
+      t += ((now - last) / 12e3) * this.end;
+      last = now;
+      this.goTo(t);
+      if (t >= this.end) this.play(false);
+      else requestAnimationFrame(advance);
+    };
+    requestAnimationFrame(advance);
+  }
+
+  draw() {
+    this.renderer.setSize(innerWidth, innerHeight, false);
+    this.renderer.setScissor(0, 0, innerWidth, innerHeight);
+    this.renderer.clear();
+    for (const panel of this.panels) panel.render(this.renderer);
+    this.drawn = (this.drawn || 0) + 1;
+  }
+}
+
+(async () => {
+  try {
+    const about = JSON.parse($("about").textContent);
+    const blocks = await Promise.all([...document.querySelectorAll(".block")].map((block) => unpack(block.textContent)));
+    window.page = new Page(about, about.runs.map((run, i) => new Surface(run, blocks[i])));
+  } catch (error) {
+    tell(`This page needs WebGL and a browser of 2023 or later: ${error.message}`);
+    throw error;
+  }
+})();
