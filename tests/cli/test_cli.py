@@ -311,3 +311,15 @@ except ValueError as error:
     assert result.returncode == 0, result.stderr
     assert result.stdout.startswith("jaxcrumple needs float64")
     assert 'jax.config.update("jax_enable_x64", True)' in result.stdout
+
+
+def test_a_page_and_a_picture_are_written(in_process, refused, copy, tmp_path):
+    code, streams = in_process("view", copy)
+    assert code == 0 and streams.out.replace("\n", "") == str(copy / "view.html")
+    assert (copy / "view.html").read_text().startswith("<!doctype html>")
+    code, _ = in_process("verify", copy)
+    assert code == 0
+    target = tmp_path / "a.png"
+    code, _ = in_process("plot", copy, "--out", target, "--field", "paper", "--view", "1,0,0.5")
+    assert code == 0 and target.read_bytes()[1:4] == b"PNG"
+    assert "must be three numbers" in refused("plot", copy, "--out", target, "--view", "1,0")
