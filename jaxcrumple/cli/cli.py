@@ -11,6 +11,7 @@ import typer
 
 from jaxcrumple.cli.calibrate import calibrations
 from jaxcrumple.cli.console import ENDED, check_place, console, keep_programs, noted, run_program, say
+from jaxcrumple.cli.help import explain, report
 from jaxcrumple.cli.pictures import draw_run, plot, view
 
 if TYPE_CHECKING:
@@ -338,8 +339,8 @@ def _print_options(model: "type[BaseModel]") -> None:
     console.print(f"  {model.__doc__}\n    {options}", markup=False)
 
 
-app.command()(plot)
-app.command()(view)
+for command in (plot, view, explain, report):
+    app.command()(command)
 
 
 @app.command()
