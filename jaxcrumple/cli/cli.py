@@ -1,7 +1,6 @@
 """Commands `jaxcrumple run`, `check`, `calibrate`, `sweep`, `campaign`, `figure` and others."""
 
 import importlib.metadata
-import shlex
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -10,8 +9,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from jaxcrumple.cli.calibrate import calibrations
-from jaxcrumple.cli.console import ENDED, check_place, console, keep_programs, noted, run_program, say
+from jaxcrumple.cli.console import (
+    ENDED,
+    check_place,
+    command,
+    console,
+    keep_programs,
+    noted,
+    run_program,
+    say,
+)
 from jaxcrumple.cli.help import explain, report
+from jaxcrumple.cli.outcome import tell_next, tell_outcome
 from jaxcrumple.cli.pictures import draw_run, plot, view
 
 if TYPE_CHECKING:
@@ -106,14 +115,27 @@ def run(
         with ConsoleProgress(config.t_end, console) as progress:
             go = partial(resume_run, folder) if resume else partial(start_run, config, folder)
             summary = go([progress], max_seconds=limit)
-        _report(summary)
-    with noted(lambda: f"the run has ended and is saved; draw it with: {_command('plot', folder)}"):
+        tell_outcome(summary)
+    with noted(lambda: f"the run has ended and is saved; draw it with: {command('plot', folder)}"):
         pictures = draw_run(folder)
-    for line in (*(f"picture: {picture}" for picture in pictures), f"all results: {folder}"):
-        say(line)
-    if summary["result"] == "budget":
-        say(f"go on with: {go_on}")
+    for picture in pictures:
+        say(f"picture: {picture}")
+    tell_next(summary, folder, go_on)
     _all_must_succeed(summary["result"] == "success")
+
+
+# A sheet of thin paper in a sphere, to 3.8 cm: small enough to take less than a minute with compiling.
+DEMO = {"nodes": 500, "t_end": "3.3", "settings": ["thickness=0.1 mm", "rtol=3e-2"]}
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(help="New folder for results.")] = Path("runs/demo"),
+    show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
+) -> None:
+    """Crumple a small sheet in a minute, draw it, and write a page to turn it in a browser."""
+    run("radial", out=out, **DEMO)  # type: ignore[arg-type]
+    view([out], show=show)
 
 
 def _stored(folder: Path, scene: str) -> "RunConfig":
@@ -140,11 +162,6 @@ def _seconds(limit: str | None) -> float | None:
     return seconds
 
 
-def _command(*words: Any) -> str:
-    """Format a command for the shell."""
-    return shlex.join(["jaxcrumple", *map(str, words)])
-
-
 def _resume_command(scene: str, folder: Path, asked: dict[str, Any], settings: Sequence[str] | None) -> str:
     """Return the command that resumes a run; it repeats the options that replace values of a scene file."""
     repeated: list[Any] = []
@@ -153,7 +170,7 @@ def _resume_command(scene: str, folder: Path, asked: dict[str, Any], settings: S
             repeated += [f"--{key.replace('_', '-')}", value]
         for setting in settings or ():
             repeated += ["--set", setting]
-    return _command("run", scene, *repeated, "--resume", "--out", folder)
+    return command("run", scene, *repeated, "--resume", "--out", folder)
 
 
 def _kept(folder: Path, go_on: str) -> str:
@@ -235,7 +252,7 @@ def sweep(
     if path.exists():
         raise ValueError(f"{path} exists; give another --out, or remove it.")
     check_place(path, "--out")
-    again = _command("campaign", file)
+    again = command("campaign", file)
     with noted(lambda: f"a sweep saves nothing before its end; to save each run, use: {again}"):
         table = sweep(
             asked.scene,
@@ -339,8 +356,8 @@ def _print_options(model: "type[BaseModel]") -> None:
     console.print(f"  {model.__doc__}\n    {options}", markup=False)
 
 
-for command in (plot, view, explain, report):
-    app.command()(command)
+for other in (plot, view, explain, report):
+    app.command()(other)
 
 
 @app.command()
@@ -355,7 +372,7 @@ def verify(folder: Annotated[Path, typer.Argument(help="Folder of a run, or of s
         for cause in wrong.values():
             say(f"  {cause}")
         if wrong:
-            say(f"  return to the last undamaged checkpoint: {_command('repair', place)}")
+            say(f"  return to the last undamaged checkpoint: {command('repair', place)}")
     if any(found.values()):
         raise typer.Exit(1)
 
@@ -376,26 +393,3 @@ def repair(folder: Annotated[Path, typer.Argument(help="Folder of a run.")]) -> 
     if pictures := sorted(path.name for path in folder.glob("*.png")):
         say(f"pictures from before the repair: {', '.join(pictures)}")
     say(f"{folder} is at t = {t:.4g} s again; go on with: {go_on}")
-
-
-def _report(summary: dict) -> None:
-    from jaxcrumple.run.locking import locking
-
-    steps, share, energy = summary["steps"], summary["dynamic_share"], summary["energy"]
-    lines = [
-        f"result: {summary['result']} ({summary['message']})",
-        f"t = {summary['t_reached']:.4g} s after {summary['run_s']:.0f} s ({summary['cpu_s']:.0f} CPU s; "
-        f"{summary['compile_s']:.0f} s of compiling at the last start included), rtol {summary['rtol']:g}",
-        f"steps: {steps['quasistatic']} quasistatic, {steps['implicit']} implicit and {steps['explicit']} "
-        f"explicit with inertia, {steps['rejected']} "
-        f"rejected; {summary['switches']} switches",
-        f"inertia: {share['time']:.2%} of the time, {share['steps']:.1%} of the steps",
-        f"energy: {energy['bending'] * 1e3:.3g} mJ bending, {energy['stretch'] * 1e3:.3g} mJ stretch",
-        f"edge strain: {summary['max_edge_strain']:.2%} largest, {summary['rms_edge_strain']:.2%} rms; "
-        f"wall penetration {summary['max_wall_penetration'] * 1e6:.3g} um; "
-        f"creases {summary['crease_length'] * 100:.3g} cm",
-    ]
-    if locks := locking(energy):
-        lines.append(f"{locks}, as its edges are too long to fold so tightly; give more nodes, or end before")
-    for line in lines:
-        say(line)

@@ -4,6 +4,7 @@ import errno
 import importlib.metadata
 import os
 import platform
+import shlex
 import signal
 import sys
 import tempfile
@@ -58,6 +59,11 @@ class OutputLostError(Exception):
 def say(text: str, style: str | None = None) -> None:
     """Print a line to standard output unchanged, without markup or wrapping."""
     console.print(one_line(text), style=style, markup=False, emoji=False, highlight=False, soft_wrap=True)
+
+
+def command(*words: Any) -> str:
+    """Format a command of this program for the shell."""
+    return shlex.join(["jaxcrumple", *map(str, words)])
 
 
 @contextmanager

@@ -1,7 +1,7 @@
 """Estimate run time and memory of a run from measurements, before anything is built.
 
 The estimate is rough: runs of one size differ tenfold with how tightly the sheet is packed, and machines
-differ as well. The numbers come from README.md, "Numbers", measured on one core.
+differ as well. The numbers come from docs/numbers.md, measured on one core.
 """
 
 from pathlib import Path

@@ -210,7 +210,7 @@ def test_check_counts_the_nodes_of_a_mesh_file(file, tmp_path):
 
 
 def test_estimates_of_what_was_measured():
-    """README's numbers, of one day and machine, lie in the range or not far off."""
+    """The numbers of docs/numbers.md, of one day and machine, lie in the range or not far off."""
     measured = [
         (configure("radial", t_end=3.7, settings=["contact=none"]), 1000, 21),
         (configure("radial", t_end=3.7, settings=["contact=none"]), 3000, 139),

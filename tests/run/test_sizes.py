@@ -263,7 +263,7 @@ def test_a_run_with_more_frames_than_fit_is_not_read(memory_of, tmp_path):
 
 
 def test_estimates_span_what_was_measured():
-    """`peak_memory_mb` of runs, of README.md and `scripts/results/estimates.md`."""
+    """`peak_memory_mb` of runs, of docs/numbers.md and `scripts/results/estimates.md`."""
     for contact, nodes, measured in (
         ("none", 1000, 1.27e9),
         ("none", 10000, 1.46e9),
