@@ -62,7 +62,7 @@ from .sweeps.campaign import campaign
 from .sweeps.cases import grid
 from .sweeps.sweep import sweep
 from .system import elastic_tangent, energies, force, mass_matrix, potential_energy, tangent
-from .view.page import view
+from .viewer.page import view
 
 __all__ = [
     "PRESETS",

@@ -41,7 +41,7 @@ def view(
     """Write a page to turn runs in a browser, offline: the sheet over time, its creases and energies."""
     import webbrowser
 
-    from jaxcrumple.view.page import view as write
+    from jaxcrumple.viewer.page import view as write
 
     target = out or (folders[0] / "view.html" if len(folders) == 1 else Path("view.html"))
     say(str(write(folders, target)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -49,12 +50,13 @@ def _contact(run: Run, frame: int) -> Values:
     """Return the contact force on each node, in its area, in kPa."""
     if run.config.get("scene") not in SCENES:
         raise ValueError("the contact force needs a run of a named scene; choose another field.")
-    setup = RunConfig(**run.config).build()
-    x = jnp.asarray(run.x[frame])
-    scene = with_contacts(setup.scene, x)
-    if scene.contact is None:
-        return np.zeros(run.mesh.n_nodes)
-    push = np.linalg.norm(np.asarray(force(scene.contact, scene.own_lists, x)), axis=1)
+    with jax.enable_x64(True):
+        x, scene = jnp.asarray(run.x[frame]), RunConfig(**run.config).build().scene
+        contact = scene.contact
+        if contact is None:
+            return np.zeros(run.mesh.n_nodes)
+        lists = with_contacts(scene, x).own_lists
+        push = np.linalg.norm(np.asarray(force(contact, lists, x)), axis=1)
     return 1e-3 * push / run.mesh.node_area
 
 

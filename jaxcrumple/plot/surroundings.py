@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import jax
+
 from jaxcrumple.io.run import Run
 from jaxcrumple.model.walls import AbstractShape
 from jaxcrumple.run.config import RunConfig
@@ -20,7 +22,9 @@ def wall_shapes(run: Run) -> Sequence[AbstractShape]:
     try:
         config = RunConfig(**run.config)
         options = {**config.options, **{name: QUICK[name] for name in QUICK if name in config.options}}
-        walls = config.model_copy(update={"options": options}).build().scene.walls
+        # Scenes need double precision, which a notebook that draws pictures may not have set.
+        with jax.enable_x64(True):
+            walls = config.model_copy(update={"options": options}).build().scene.walls
     except (ValueError, TypeError):
         # A run of an older version.
         return ()

@@ -44,3 +44,11 @@ def test_a_run_of_another_scene_or_version_has_none():
     for change in ({"scene": "python"}, {"scene": "file.py:mine"}, {"options": {"long_ago": 1}}):
         changed = {**config.model_dump(mode="json"), **change}
         assert wall_shapes(run_of(changed, setup, 0.0)) == ()
+
+
+def test_single_precision_draws_walls_too():
+    """A notebook that only draws has not set double precision."""
+    config = configure("radial", nodes=120)
+    run = run_of(config.model_dump(mode="json"), config.build(), 0.0)
+    with jax.enable_x64(False):
+        assert len(wall_shapes(run)) == 1

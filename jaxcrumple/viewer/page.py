@@ -11,7 +11,7 @@ from pathlib import Path
 from jaxcrumple.io import load
 from jaxcrumple.io.atomic import write_bytes
 from jaxcrumple.io.run import Run
-from jaxcrumple.view.encode import encode, palette, shared_fields
+from jaxcrumple.viewer.encode import encode, palette, shared_fields
 
 SCRIPTS = ("three.bundle.js", "surface.js", "panel.js", "chart.js", "page.js")
 
@@ -58,7 +58,7 @@ def page(runs: Sequence[Run], names: Sequence[str]) -> str:
 
 
 def _asset(name: str) -> str:
-    return (files("jaxcrumple.view") / "assets" / name).read_text(encoding="utf-8")
+    return (files("jaxcrumple.viewer") / "assets" / name).read_text(encoding="utf-8")
 
 
 def _in_script(text: str) -> str:

@@ -9,7 +9,7 @@ from folding import folding_run
 
 from jaxcrumple import view
 from jaxcrumple.io import RunDirectoryError
-from jaxcrumple.view.page import page
+from jaxcrumple.viewer.page import page
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 # Software rendering, as root, and without the services that a browser looks for.

@@ -13,7 +13,7 @@ from folding import folding_run
 from jaxcrumple import configure
 from jaxcrumple.measure import DAMAGE, crease_pattern, edge_strain, mean_curvature
 from jaxcrumple.scenes.catalogue import SCENES
-from jaxcrumple.view.encode import ROWS, SHOWN, color_table, encode, shared_fields
+from jaxcrumple.viewer.encode import ROWS, SHOWN, color_table, encode, shared_fields
 
 
 def decoded(run, fields=None, number=0):

@@ -1,0 +1,44 @@
+"""Draw the picture of README.md: a crumple at three moments, and its crease pattern below each.
+
+    python scripts/show_crumple.py FOLDER OUT.png [TIME ...]
+
+FOLDER is that of a run of `jaxcrumple run`; TIMEs in s are by default three from the first contact on.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+import jaxcrumple as jc
+from jaxcrumple.measure import mean_curvature
+from jaxcrumple.plot.figure import new_figure, save_figure
+from jaxcrumple.plot.plot import draw_flat
+from jaxcrumple.plot.sheet import PAPER, color_scale, draw_sheet
+
+
+def main() -> None:
+    """Read the arguments, and write the picture."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("times", type=float, nargs="*")
+    asked = parser.parse_args()
+    run = jc.load(asked.folder)
+    times = asked.times or run.t[-1] * np.array([0.5, 0.75, 1.0])
+    frames = [int(np.argmin(np.abs(run.t - t))) for t in times]
+    figure = new_figure((3.6 * len(frames), 6.4), "")
+    for column, frame in enumerate(frames):
+        space = figure.add_subplot(2, len(frames), column + 1)
+        draw_sheet(space, run.mesh, run.x[frame], PAPER, pixels=700)
+        flat = figure.add_subplot(2, len(frames), len(frames) + column + 1, aspect="equal")
+        flat.set_axis_off()
+        values = mean_curvature(run.mesh, run.x[frame])
+        draw_flat(flat, run.mesh, color_scale(values, signed=True), values)
+    print(save_figure(figure, asked.out))
+
+
+if __name__ == "__main__":
+    main()
