@@ -1,7 +1,8 @@
 """Figs. 5a, 6a, 8a, 8b and 8d: a sheet in a shrinking sphere."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -21,15 +22,25 @@ from jaxcrumple.run.config import RunConfig, configure
 SHARES = (0.25, 0.5, 0.75, 1.0)
 # Distance in m along the normals within which layers count.
 REACH = 2e-3
+NONE: Mapping[str, Any] = MappingProxyType({})
+# Settings at full size. The paper's runs end at 5 s (Fig. 5) and 6 s (Fig. 8).
+FAST = {"rtol": 3e-2}
+THIN, THIN_END = {**FAST, "thickness": 0.125e-3}, 5.5
 
 
 def _one(
-    nodes: tuple[int, int], t_end: tuple[float, float], **settings: Any
+    nodes: tuple[int, int],
+    t_end: tuple[float, float],
+    at_full_size: Mapping[str, Any] = NONE,
+    **settings: Any,
 ) -> Callable[[bool], dict[str, RunConfig]]:
-    """Return a function that configures one run of `radial`, for a laptop or at full size."""
+    """Return a function that configures one run of `radial`, for a laptop or at full size.
+
+    `settings`: of both; `at_full_size`: of that one besides."""
 
     def runs(full: bool) -> dict[str, RunConfig]:
-        return {"radial": configure("radial", nodes=nodes[full], t_end=t_end[full], settings=settings)}
+        chosen = {**settings, **(at_full_size if full else {})}
+        return {"radial": configure("radial", nodes=nodes[full], t_end=t_end[full], settings=chosen)}
 
     return runs
 
@@ -112,7 +123,7 @@ def _draw_rearrangement(runs: Runs, folder: Path) -> list[Path]:
 
 SNAPSHOTS = Figure(
     "a sheet in a sphere that shrinks, and its maps of mean curvature",
-    _one((1000, 12000), (2.6, 3.7)),
+    _one((1000, 12000), (2.6, 4.0), FAST),
     _panels("5"),
 )
 STEPS = Figure(
@@ -121,10 +132,14 @@ STEPS = Figure(
     _draw_steps,
 )
 MORPHOLOGY = Figure(
-    "a crumple and its crease pattern as it is confined", _one((1000, 3000), (3.4, 4.5)), _panels("8a")
+    "a crumple and its crease pattern as it is confined",
+    _one((1000, 3000), (3.4, THIN_END), THIN),
+    _panels("8a"),
 )
 INSIDE = Figure(
-    "cross-sections of a crumple, and its volume fraction", _one((1000, 3000), (3.4, 4.5)), _draw_inside
+    "cross-sections of a crumple, and its volume fraction",
+    _one((1000, 3000), (3.4, THIN_END), THIN),
+    _draw_inside,
 )
 REARRANGEMENT = Figure(
     "an elastic sheet whose ridges and vertices rearrange",

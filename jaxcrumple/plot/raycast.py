@@ -18,8 +18,8 @@ from jaxcrumple.plot.light import LAMP
 from jaxcrumple.plot.normals import corner_normals, face_normals
 from jaxcrumple.plot.wall_layers import Layer, over
 
-# Rays through each pixel are RAYS * RAYS; at each hit go OCCLUSION more to estimate the ambient light.
-RAYS, OCCLUSION = 2, 8
+# Rays through each pixel are RAYS * RAYS. From each hit go OCCLUSION more to the sky, and SHADOW to the lamp.
+RAYS, OCCLUSION, SHADOW = 2, 7, 3
 # Radius of the disc of the lamp, as seen from the sheet, in its distance.
 LAMP_RADIUS = 0.12
 # Light of the surroundings and of the lamp on a surface that faces it.
@@ -111,13 +111,14 @@ def cast(
     rng = np.random.default_rng(seed)
     turn = (2.0 * np.pi * rng.random(shape[0] * shape[1])).astype(np.float32)
     image = np.zeros((shape[0] * shape[1], 4))
-    sky, lamp = _spread(RAYS**2 * OCCLUSION), _spread(RAYS**2)
+    sky, lamp = _spread(RAYS**2 * OCCLUSION), _spread(RAYS**2 * SHADOW)
     for k in range(RAYS**2):
         shift = (np.array([k % RAYS, k // RAYS]) + rng.random((*shape, 2))) / RAYS
         origins = caster.camera.origins(shape, shift)
         hits = caster.hits(origins)
         light = _ambient(caster, hits, sky[k :: RAYS**2], turn[hits.rays])
-        light += _lamp(caster, hits, lamp[k], turn[hits.rays])
+        for place in lamp[k :: RAYS**2]:
+            light += _lamp(caster, hits, place, turn[hits.rays]) / SHADOW
         seen = np.zeros_like(image)
         seen[hits.rays, :3] = _sided(color(hits), hits.back) * light[:, None]
         seen[hits.rays, 3] = 1.0
