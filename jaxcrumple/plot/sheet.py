@@ -6,7 +6,7 @@ import importlib.util
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike, Float, Real
@@ -103,7 +103,8 @@ def sheet_figure(
     axes = figure.add_subplot()
     draw_sheet(axes, mesh, x, color, values, camera=camera, walls=walls, pixels=pixels)
     if not isinstance(color, str):
-        figure.colorbar(color, ax=axes, label=label, shrink=0.65, extend="both")
+        beyond: Any = "both" if color.get_clim()[0] < 0 else "max"
+        figure.colorbar(color, ax=axes, label=label, shrink=0.65, extend=beyond)
     return figure
 
 

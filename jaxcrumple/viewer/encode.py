@@ -178,9 +178,9 @@ def _history(run: Run) -> Json:
     }
 
 
-def _short(values: Any, digits: int) -> list[float]:
-    """Return numbers with so many significant digits, which take less room as text."""
-    return [float(f"{value:.{digits}g}") for value in values]
+def _short(values: Any, digits: int) -> list[float | None]:
+    """Return numbers with so many significant digits, which take less room as text; None if not finite."""
+    return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in values]
 
 
 def color_table(signed: bool) -> list[int]:

@@ -108,9 +108,26 @@ def test_keys_step_through_the_frames(opened):
         seen.append(opened.ask("page.t"))
     assert seen == pytest.approx([0.1, 0.2, 0.1, 0.3])
     opened.tab.keyboard.press(" ")
-    assert opened.tab.locator("#play").get_attribute("aria-pressed") == "true"
+    assert opened.tab.locator("#play").inner_text() == "Pause"
     opened.tab.keyboard.press(" ")
-    assert opened.tab.locator("#play").get_attribute("aria-pressed") == "false"
+    assert opened.tab.locator("#play").inner_text() == "Play"
+    # Also with the focus on a button.
+    opened.tab.locator("#home").focus()
+    opened.ask("page.goTo(0.1)")
+    opened.tab.keyboard.press("ArrowRight")
+    assert opened.ask("page.t") == pytest.approx(0.2)
+
+
+def test_playing_follows_the_slider(opened):
+    opened.ask("page.goTo(0.0)")
+    opened.ask("page.play(true)")
+    opened.ask("page.goTo(0.2)")
+    opened.look()
+    assert 0.2 <= opened.ask("page.t") <= 0.3
+    opened.ask("page.play(false)")
+    stopped = opened.ask("page.t")
+    opened.look()
+    assert opened.ask("page.t") == stopped
 
 
 def test_a_point_is_marked_in_both_views(opened):
@@ -160,7 +177,21 @@ def test_runs_stand_side_by_side(browser, tmp_path):
         now = np.array(two.ask(f"Array.from(page.panels[{number}].surface.now)")).reshape(-1, 3)
         at = np.apply_along_axis(lambda values, t=run.t: np.interp(0.15, t, values), 0, run.x)
         np.testing.assert_allclose(now, at, atol=4e-6)
+    # Arrow keys visit the frames of both.
+    two.ask("page.goTo(0)")
+    visited = [0.0]
+    while len(visited) < 20 and visited[-1] < 0.3:
+        two.tab.keyboard.press("ArrowRight")
+        visited.append(two.ask("page.t"))
+    assert visited == pytest.approx(np.unique(np.round(np.concatenate([run.t for run in runs]), 12)))
     assert two.errors == []
+
+
+def test_a_run_of_one_frame(browser, tmp_path):
+    one = Opened(browser, view(folding_run(frames=1), tmp_path / "one.html"))
+    assert one.ask("page.panels[0].surface.frame") == 0
+    assert one.ask("page.panels[0].surface.now.every(Number.isFinite)")
+    assert one.errors == []
 
 
 def test_a_page_is_one_file_that_no_name_breaks():

@@ -1,5 +1,5 @@
 "use strict";
-// Energies by term and step size over time, with the stages of the run, as SVG.
+// Energies by term over time, with the stages of the run, as SVG.
 
 const STAGES = { quasistatic: "#1f6fb4", implicit: "#e8a33d", explicit: "#d9541e" };
 const LEFT = 46, RIGHT = 4, TOP = 14, BOTTOM = 18, DECADES = 6;
@@ -13,9 +13,9 @@ function svg(name, attributes, parent, text) {
 }
 
 class Chart {
-  constructor(element, about, colours, seek) {
-    Object.assign(this, { element, history: about.history, colours, end: about.t[about.t.length - 1] });
-    element.addEventListener("pointerdown", (event) => seek(this._time(event)));
+  constructor(element, about, colours, end, seek) {
+    Object.assign(this, { element, history: about.history, colours, end });
+    element.addEventListener("pointerdown", (event) => { element.setPointerCapture(event.pointerId); seek(this._time(event)); });
     element.addEventListener("pointermove", (event) => { if (event.buttons & 1) seek(this._time(event)); });
     new ResizeObserver(() => this.draw()).observe(element);
     this.now = 0;
@@ -47,8 +47,11 @@ class Chart {
     energies.forEach(([name, values], i) => {
       const points = values.map((value, k) => `${this._across(history.t[k]).toFixed(1)},${down(Math.abs(value)).toFixed(1)}`);
       svg("polyline", { points: points.join(" "), fill: "none", stroke: this.colours[name], "stroke-width": 1.4 }, element);
-      svg("text", { x: LEFT + 4 + 62 * i, y: this.height - 4, style: `fill: ${this.colours[name]}` }, element, name);
+      const x = LEFT + 4 + 66 * i;
+      svg("line", { x1: x, x2: x + 10, y1: this.height - 8, y2: this.height - 8, stroke: this.colours[name], "stroke-width": 3 }, element);
+      svg("text", { x: x + 13, y: this.height - 4 }, element, name);
     });
+    svg("text", { x: this.width - RIGHT, y: this.height - 4, "text-anchor": "end" }, element, `${+this.end.toPrecision(3)} s`);
     this.cursor = svg("line", { y1: 0, y2: this.height - BOTTOM, stroke: "#1b1f24", "stroke-width": 1.5 }, element);
     this.move(this.now);
   }

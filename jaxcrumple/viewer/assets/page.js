@@ -13,7 +13,7 @@ function section(about, number) {
   element.className = "run";
   element.innerHTML = `<h2></h2><p class="about"></p>
     <div class="views">
-      <div class="view space" tabindex="0" role="img"><span class="bar"></span></div>
+      <div class="view space" tabindex="0" role="group"><span class="bar"></span></div>
       <div class="view pattern" role="img"><span class="caption">red: mountain, blue: valley</span><span class="bar"></span></div>
     </div>
     <p class="status" id="status-${number}"></p>
@@ -21,7 +21,7 @@ function section(about, number) {
   const frames = about.t.length;
   element.querySelector("h2").textContent = about.name;
   element.querySelector(".about").textContent = `${about.about}; ${frames} frames; ${about.result}`;
-  element.querySelector(".space").setAttribute("aria-label", `Sheet of ${about.name} in space; drag to turn, scroll to zoom, arrow keys to move`);
+  element.querySelector(".space").setAttribute("aria-label", `Sheet of ${about.name} in space; drag to turn, or Shift and arrow keys; scroll to zoom`);
   element.querySelector(".pattern").setAttribute("aria-label", `Crease pattern of ${about.name} on the flat sheet`);
   element.querySelector(".chart").setAttribute("aria-label", `Energies of ${about.name} over time; click to go to a time`);
   $("runs").append(element);
@@ -33,10 +33,9 @@ class Page {
     this.palette = about.palette;
     this.tables = { true: linear(about.palette.signed), false: linear(about.palette.plain) };
     this.field = "curvature";
-    this.end = Math.max(...about.runs.map((run) => run.t[run.t.length - 1]));
+    this.end = Math.max(...about.runs.flatMap((run) => [...run.t.slice(-1), ...run.history.t.slice(-1)])) || 1;
     this.renderer = new THREE.WebGLRenderer({ canvas: $("canvas"), antialias: true });
     this.renderer.setClearColor(0xffffff);
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
     this.renderer.setScissorTest(true);
     this.renderer.toneMapping = THREE.NoToneMapping;
     this.redraw = () => { this.pending ??= requestAnimationFrame(() => { this.pending = null; this.draw(); }); };
@@ -48,7 +47,7 @@ class Page {
 
   _panel(surface, element) {
     const panel = new Panel(surface, element, this.redraw);
-    panel.chart = new Chart(element.querySelector(".chart"), surface.about, this.palette.energies, (t) => this.goTo(t));
+    panel.chart = new Chart(element.querySelector(".chart"), surface.about, this.palette.energies, this.end, (t) => this.goTo(t));
     panel.status = element.querySelector(".status");
     panel.onpoint = () => this._describe(panel);
     return panel;
@@ -57,6 +56,9 @@ class Page {
   _describe(panel) {
     const { surface, marked } = panel;
     let text = panel.chart.describe(this.t);
+    const [frame, share] = surface.place(this.t), last = surface.times.length - 1;
+    const where = share > 0 && share < 1 ? `between frames ${frame} and ${frame + 1}` : `frame ${frame + Math.round(share)} of ${last}`;
+    text = [this.t > surface.times[last] ? `ended, ${where}` : where, text].filter(Boolean).join(": ");
     const found = marked && surface.valueAt(this.field, marked.face, marked.weights);
     if (found) text += `; here ${found.beyond ? "beyond " : ""}${found.value.toPrecision(2)} (${surface.about.fields[this.field].label})`;
     panel.status.textContent = text;
@@ -80,24 +82,24 @@ class Page {
   }
 
   _key(event) {
-    if (event.target.closest("select, button, input[type=checkbox]") || event.ctrlKey || event.metaKey || event.altKey) return;
+    // Keys that the focused control needs itself, and those that turn the sheet.
+    const own = event.target.closest("select") || (" Enter".includes(event.key) && event.target.closest("button, input[type=checkbox]"));
+    if (own || event.ctrlKey || event.metaKey || event.altKey || event.shiftKey) return;
     const frame = (event.key === "ArrowRight" || event.key === ".") - (event.key === "ArrowLeft" || event.key === ",");
     if (event.key === " ") this.play(!this.playing);
-    else if (event.key === "r") $("home").click();
+    else if (event.key.toLowerCase() === "r") $("home").click();
     else if (event.key === "Home") this.goTo(0);
     else if (event.key === "End") this.goTo(this.end);
-    else if (frame && !event.target.closest(".space")) this.step(frame);
+    else if (frame) this.step(frame);
     else return;
     event.preventDefault();
   }
 
-  // Go to the next or the last frame of the run with the most frames.
+  // Go to the next frame of any run, or to the one before.
   step(by) {
-    const times = this.panels.map((panel) => panel.surface.times).reduce((a, b) => (b.length > a.length ? b : a));
-    const here = times.findIndex((t) => t >= this.t - 1e-12 * this.end);
-    const exact = here >= 0 && Math.abs(times[here] - this.t) < 1e-9 * this.end;
-    const next = here < 0 ? times.length - 1 : here + (by > 0 && !exact ? 0 : by);
-    this.goTo(times[Math.min(Math.max(next, 0), times.length - 1)]);
+    const times = this.panels.flatMap((panel) => panel.surface.times).sort((a, b) => a - b), little = 1e-9 * this.end;
+    const ahead = by > 0 ? times.find((t) => t > this.t + little) : times.findLast((t) => t < this.t - little);
+    if (ahead !== undefined) this.goTo(ahead);
   }
 
   goTo(t) {
@@ -135,26 +137,30 @@ class Page {
   play(on) {
     this.playing = on;
     $("play").textContent = on ? "Pause" : "Play";
-    $("play").setAttribute("aria-pressed", on);
+    cancelAnimationFrame(this.advancing);
     if (!on) return;
-    let last = performance.now(), t = this.t >= this.end ? 0 : this.t;
+    if (this.t >= this.end) this.goTo(0);
+    let last = performance.now();
     const advance = (now) => {
-      if (!this.playing) return;
-      // All of a run in 12 seconds.
-      t += ((now - last) / 12e3) * this.end;
+      // All of a run in 12 seconds; the slider and the keys may move the clock meanwhile.
+      this.goTo(this.t + (Math.max(now - last, 0) / 12e3) * this.end);
       last = now;
-      this.goTo(t);
-      if (t >= this.end) this.play(false);
-      else requestAnimationFrame(advance);
+      if (this.t >= this.end) this.play(false);
+      else this.advancing = requestAnimationFrame(advance);
     };
-    requestAnimationFrame(advance);
+    this.advancing = requestAnimationFrame(advance);
   }
 
   draw() {
-    this.renderer.setSize(innerWidth, innerHeight, false);
-    this.renderer.setScissor(0, 0, innerWidth, innerHeight);
+    const { clientWidth: width, clientHeight: height } = $("canvas"), size = `${width} ${height} ${devicePixelRatio}`;
+    if (size !== this.size) {
+      this.size = size;
+      this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+      this.renderer.setSize(width, height, false);
+    }
+    this.renderer.setScissor(0, 0, width, height);
     this.renderer.clear();
-    for (const panel of this.panels) panel.render(this.renderer);
+    for (const panel of this.panels) panel.render(this.renderer, height);
     this.drawn = (this.drawn || 0) + 1;
   }
 }
@@ -163,9 +169,11 @@ class Page {
   try {
     const about = JSON.parse($("about").textContent);
     const blocks = await Promise.all([...document.querySelectorAll(".block")].map((block) => unpack(block.textContent)));
-    window.page = new Page(about, about.runs.map((run, i) => new Surface(run, blocks[i])));
+    const surfaces = about.runs.map((run, i) => new Surface(run, blocks[i]));
+    $("runs").replaceChildren();
+    window.page = new Page(about, surfaces);
   } catch (error) {
-    tell(`This page needs WebGL and a browser of 2023 or later: ${error.message}`);
+    tell(`The page cannot be shown (${error.message}). It needs WebGL 2 and a browser of 2023 or later.`);
     throw error;
   }
 })();

@@ -1,7 +1,7 @@
 "use strict";
 // The two views of a run: the sheet in space, and its crease pattern on the flat sheet.
 
-const MOUNTAIN = 0x8e0012, VALLEY = 0x0a2a6b, WALL = 0x4a76a8;
+const MOUNTAIN = 0xb3001b, VALLEY = 0x1f5fd0, WALL = 0x4a76a8;
 const UP = new THREE.Vector3(0, 0, 1), VIEW = new THREE.Vector3(-0.45, -0.8, 0.55).normalize();
 
 function sheetMaterial() {
@@ -22,7 +22,7 @@ function wallMaterial() {
     uniforms: { tint: { value: new THREE.Color(WALL) } },
     vertexShader: "varying vec3 n; void main() { n = normalMatrix * normal; gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0); }",
     // The views are orthographic, so all rays are parallel.
-    fragmentShader: "uniform vec3 tint; varying vec3 n; void main() { float f = 1.0 - abs(normalize(n).z); gl_FragColor = vec4(tint, 0.05 + 0.45 * f * f * f); }",
+    fragmentShader: "uniform vec3 tint; varying vec3 n; void main() { float f = 1.0 - abs(normalize(n).z); gl_FragColor = vec4(tint, 0.05 + 0.45 * f * f * f);\n#include <colorspace_fragment>\n }",
   });
 }
 
@@ -152,11 +152,13 @@ class Panel {
   }
 
   _addCameras() {
-    this.space.camera = new THREE.OrthographicCamera(-1, 1, 1, -1, -100, 100);
+    this.space.camera = new THREE.OrthographicCamera(-1, 1, 1, -1, -3 * this.size, 9 * this.size);
     this.space.camera.up.copy(UP);
     this.controls = new THREE.OrbitControls(this.space.camera, this.space.element);
     this.controls.addEventListener("change", this.redraw);
+    // Shift and arrow keys turn; arrow keys alone step through the frames.
     this.controls.listenToKeyEvents(this.space.element);
+    this.controls.keyPanSpeed = 0;
     this.flat.camera = new THREE.OrthographicCamera(-1, 1, 1, -1, -100, 100);
     this.flat.camera.position.set(0, 0, 1);
     const [[left, right], [low, high]] = this.extent;
@@ -167,7 +169,7 @@ class Panel {
 
   home() {
     const { camera } = this.space;
-    camera.position.copy(this.middle).addScaledVector(VIEW, this.size);
+    camera.position.copy(this.middle).addScaledVector(VIEW, 3 * this.size);
     camera.zoom = 1;
     this.controls.target.copy(this.middle);
     this.controls.update();
@@ -193,10 +195,10 @@ class Panel {
   }
 
   // Draw both views where their elements are.
-  render(renderer) {
+  render(renderer, height) {
     for (const view of [this.space, this.flat]) {
       const box = view.element.getBoundingClientRect();
-      if (box.bottom < 0 || box.top > innerHeight || box.width < 2 || box.height < 2) continue;
+      if (box.bottom < 0 || box.top > height || box.width < 2 || box.height < 2) continue;
       const { camera } = view, ratio = box.width / box.height;
       const half = view === this.flat ? view.half : this.fits ? 1.08 * this.reach : 1.08 * Math.max(...this.surface.reach);
       const [x, y] = view === this.space ? [0, 0] : view.middle;
@@ -206,8 +208,8 @@ class Panel {
       camera.bottom = y - half * Math.max(1 / ratio, 1);
       camera.updateProjectionMatrix();
       if (view === this.space) this._light(camera);
-      renderer.setViewport(box.left, innerHeight - box.bottom, box.width, box.height);
-      renderer.setScissor(box.left, innerHeight - box.bottom, box.width, box.height);
+      renderer.setViewport(box.left, height - box.bottom, box.width, box.height);
+      renderer.setScissor(box.left, height - box.bottom, box.width, box.height);
       renderer.render(view.scene, camera);
       this._bar(view, (camera.right - camera.left) / camera.zoom / box.width);
     }
@@ -229,6 +231,7 @@ class Panel {
   }
 
   _hover(view, event) {
+    if (event.buttons) return;
     const box = view.element.getBoundingClientRect();
     const place = new THREE.Vector2((2 * (event.clientX - box.left)) / box.width - 1, 1 - (2 * (event.clientY - box.top)) / box.height);
     const ray = new THREE.Raycaster();

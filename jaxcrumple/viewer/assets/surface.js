@@ -75,8 +75,8 @@ class Surface {
     let frame = 0;
     while (frame < this.times.length - 2 && this.times[frame + 1] <= t) frame++;
     if (this.times.length === 1) return [0, 0];
-    const share = (t - this.times[frame]) / (this.times[frame + 1] - this.times[frame]);
-    return [frame, Math.min(Math.max(share, 0), 1)];
+    const span = this.times[frame + 1] - this.times[frame];
+    return [frame, span > 0 ? Math.min(Math.max((t - this.times[frame]) / span, 0), 1) : 1];
   }
 
   // Move to time t, coloured by a field (null: plain); table: 256 colours.
