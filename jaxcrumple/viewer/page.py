@@ -30,13 +30,14 @@ def view(runs: Sequence[str | Path | Run] | str | Path | Run, path: str | Path) 
     if not many:
         raise ValueError("there is no run to view; give at least one folder.")
     loaded = [run if isinstance(run, Run) else load(run) for run in many]
-    names = [
-        str(run.config.get("scene", "run")) if isinstance(run, Run) else Path(run).resolve().name
-        for run in many
-    ]
+    names = [_name(run) for run in many]
     path = Path(path)
     write_bytes(path, page(loaded, names).encode())
     return path
+
+
+def _name(run: str | Path | Run) -> str:
+    return str(run.config.get("scene", "run")) if isinstance(run, Run) else Path(run).resolve().name
 
 
 def page(runs: Sequence[Run], names: Sequence[str]) -> str:
