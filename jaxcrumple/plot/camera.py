@@ -22,7 +22,7 @@ class Camera:
     camera; `width`, `height` in m: extent of the picture; `depth` in m: distance of the camera from `center`.
     """
 
-    center: Float[np.ndarray, 3]
+    center: Float[np.ndarray, " 3"]
     axes: Float[np.ndarray, "3 3"]
     width: float
     height: float

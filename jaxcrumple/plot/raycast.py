@@ -167,7 +167,7 @@ def _ambient(
 
 
 def _lamp(
-    caster: Caster, hits: Hits, place: Float[np.ndarray, 2], turn: Float[np.ndarray, " hits"]
+    caster: Caster, hits: Hits, place: Float[np.ndarray, " 2"], turn: Float[np.ndarray, " hits"]
 ) -> Float[np.ndarray, " hits"]:
     """Return the light of the lamp, a disc far away, that reaches the hits.
 

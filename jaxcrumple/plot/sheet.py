@@ -167,7 +167,7 @@ def color_scale(values: Float[np.ndarray, " ..."], *, signed: bool) -> ScalarMap
     return scale
 
 
-def _ball(x: Float[np.ndarray, "nodes 3"]) -> tuple[Float[np.ndarray, 3], float]:
+def _ball(x: Float[np.ndarray, "nodes 3"]) -> tuple[Float[np.ndarray, " 3"], float]:
     """Return centre and radius in m of the ball in which walls are drawn."""
     center = 0.5 * (x.min(axis=0) + x.max(axis=0))
     return center, ROUND * float(np.linalg.norm(x - center, axis=1).max())

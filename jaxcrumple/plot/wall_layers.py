@@ -33,7 +33,7 @@ class Layer(NamedTuple):
 
 
 def surface_points(
-    walls: Sequence[AbstractShape], t: float, center: Float[np.ndarray, 3], radius: float
+    walls: Sequence[AbstractShape], t: float, center: Float[np.ndarray, " 3"], radius: float
 ) -> Float[np.ndarray, "points 3"]:
     """Return points (m, 3) in m of the surfaces of `walls` at time `t` in s around the middle of a ball, of
     `radius` in m."""
@@ -51,10 +51,10 @@ def surface_points(
 def wall_layers(
     walls: Sequence[AbstractShape],
     t: float,
-    center: Float[np.ndarray, 3],
+    center: Float[np.ndarray, " 3"],
     radius: float,
     origins: Float[np.ndarray, "rays 3"],
-    direction: Float[np.ndarray, 3],
+    direction: Float[np.ndarray, " 3"],
 ) -> list[Layer]:
     """Return the surfaces of `walls` at time `t` in s along rays: the first and the last within a ball.
 
@@ -120,7 +120,7 @@ def _surfaces(
     distances = jnp.stack([entry, leave])
 
     def facing(
-        distance: Float[Array, ""], origin: Float[Array, 3], direction: Float[Array, 3]
+        distance: Float[Array, ""], origin: Float[Array, " 3"], direction: Float[Array, " 3"]
     ) -> Float[Array, ""]:
         point = origin + jnp.where(jnp.isfinite(distance), distance, 0.0) * direction
         return jnp.abs(jax.grad(wall.gap)(point, t) @ direction)
