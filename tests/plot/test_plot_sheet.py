@@ -87,9 +87,11 @@ def test_light_on_a_flat_sheet_is_that_of_lamp_and_sky():
     image = cast(HALVES, SQUARE, from_above(SQUARE))
     lamp = np.array(raycast.LAMP) / np.linalg.norm(raycast.LAMP)
     inside = image[150:250, 150:250]
-    expected = 0.5 * (raycast.AMBIENT + raycast.DIRECT * lamp[2])
+    # Mean of the cosine over the disc: 1/sqrt(1 + r^2) between directions to its rim and its middle.
+    square = raycast.LAMP_RADIUS**2
+    disc = 2.0 * (np.sqrt(1.0 + square) - 1.0) / square
+    expected = 0.5 * (raycast.AMBIENT + raycast.DIRECT * lamp[2] * disc)
     assert inside[..., :3].mean() == pytest.approx(expected, rel=1e-3)
-    # The lamp is a disc, so its direction varies from sample to sample.
     assert inside[..., :3].std() < 0.02 * expected
 
 
