@@ -47,11 +47,11 @@ def stay(state: State) -> Handover:
 
 
 def after_implicit(
-    scene: Scene, state: State, accepted: Flag, cause: Count, solver: Integrator, bounded: Flag
+    scene: Scene, state: State, h: Scalar, accepted: Flag, cause: Count, solver: Integrator, bounded: Flag
 ) -> Handover:
     """Choose the next stage after an implicit step, which led to `state` or was rejected for `cause`.
 
-    `bounded`: whether contact limited the length of the step."""
+    `h`: size of the step in s; `bounded`: whether contact limited the length of the step."""
     quasistatic, inertial = state.stage == QUASISTATIC, state.stage == IMPLICIT
     limit, rejected, handover = solver.limit(scene, state), ~accepted, stay(state)
     short = state.h < COLLAPSE * limit
@@ -64,7 +64,8 @@ def after_implicit(
             down = inertial & accepted & has_settled(scene, state.monitor, solver.switch)
             handover = handover.when(down, QUASISTATIC, state.h)
         if solver.has(EXPLICIT):
-            brief = inertial & (rejected | bounded) & (state.h < _break_even(scene) * limit)
+            stays_short = rejected | bounded | (state.h <= h)
+            brief = inertial & stays_short & (state.h < _break_even(scene) * limit)
             handover = handover.when(brief, EXPLICIT, h_explicit)
     elif solver.has(EXPLICIT):
         handover = handover.when(asked | (rejected & short), EXPLICIT, h_explicit)

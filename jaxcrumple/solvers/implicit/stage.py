@@ -134,7 +134,7 @@ def _ended(scene: Scene, carry: Carry, solver: Integrator) -> Carry:
     )
     entry = Entry(tried.accepted, h, tried.order, tried.error)
     log = follow(carry.log, moved.x, moved.t, h, state.stage, tried.order, tried.accepted)
-    handover = after_implicit(scene, moved, tried.accepted, tried.cause, solver, proposed.bounded)
+    handover = after_implicit(scene, moved, h, tried.accepted, tried.cause, solver, proposed.bounded)
     hopeless = ~tried.accepted & (handover.stage != EXPLICIT) & is_tiny(moved.h, moved.t)
     moved = given_up(moved, hopeless, tried.cause)
     done = tried.accepted & proposed.lands
