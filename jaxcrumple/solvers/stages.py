@@ -64,8 +64,9 @@ def after_implicit(
             down = inertial & accepted & has_settled(scene, state.monitor, solver.switch)
             handover = handover.when(down, QUASISTATIC, state.h)
         if solver.has(EXPLICIT):
-            stays_short = rejected | bounded | (state.h <= h)
-            brief = inertial & stays_short & (state.h < _break_even(scene) * limit)
+            # Without contact, accepted steps that do not grow are few: they begin a snap.
+            short_step = rejected | bounded | ((state.h <= h) & (scene.contact is not None))
+            brief = inertial & short_step & (state.h < _break_even(scene) * limit)
             handover = handover.when(brief, EXPLICIT, h_explicit)
     elif solver.has(EXPLICIT):
         handover = handover.when(asked | (rejected & short), EXPLICIT, h_explicit)
