@@ -7,8 +7,6 @@ import typer
 
 from jaxcrumple.cli.console import say
 
-FILMS = (".gif", ".mp4")
-
 
 def plot(
     folder: Annotated[Path, typer.Argument(help="Folder of a run, finished or not.")],
@@ -67,7 +65,7 @@ def _all(folder: Path) -> list[Path]:
 def _one(folder: Path, out: Path, field: str, frame: int, view: str | None, walls: bool) -> Path:
     from jaxcrumple.io import load
     from jaxcrumple.plot.camera import VIEW
-    from jaxcrumple.plot.picture import film, picture
+    from jaxcrumple.plot.picture import FILMS, film, picture
 
     direction = VIEW if view is None else _direction(view)
     run = load(folder)

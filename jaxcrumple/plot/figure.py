@@ -29,7 +29,15 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
     **Raises:** ValueError for an unknown extension, `RunDirectoryError` if `path` cannot be written.
     """
     path = Path(path)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format=path.suffix[1:].lower() or "png", dpi=DPI)
-    write_bytes(path, buffer.getvalue())
+    write_bytes(path, encoded(figure, path.suffix[1:].lower() or "png"))
     return path
+
+
+def encoded(figure: Figure, kind: str) -> bytes:
+    """Return the picture as a file of a `kind`, such as "png".
+
+    **Raises:** ValueError for an unknown kind.
+    """
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=kind, dpi=DPI)
+    return buffer.getvalue()

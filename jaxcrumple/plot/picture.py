@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -19,14 +19,16 @@ from jaxcrumple.io.atomic import write_bytes
 from jaxcrumple.io.run import Run
 from jaxcrumple.model.walls import AbstractShape
 from jaxcrumple.plot.camera import UP, VIEW, Camera
-from jaxcrumple.plot.fields import field_kind
-from jaxcrumple.plot.figure import DPI, save_figure
+from jaxcrumple.plot.fields import Values, field_kind
+from jaxcrumple.plot.figure import encoded, save_figure
 from jaxcrumple.plot.plot import about
 from jaxcrumple.plot.sheet import PAPER, PIXELS, Walls, camera_of, color_scale, sheet_figure
 from jaxcrumple.plot.surroundings import wall_shapes
 
 # Frames per second of a film, longer side of its sheet in pixels, and its dots per inch.
 RATE, FILM_PIXELS, FILM_DPI = 10.0, 700, 100
+# Extensions of films.
+FILMS = (".gif", ".mp4")
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +38,7 @@ class Picture:
     figure: Figure
 
     def _repr_png_(self) -> bytes:
-        return _encoded(self.figure)
+        return encoded(self.figure, "png")
 
     def save(self, path: str | Path) -> Path:
         """Write the picture in the format of the extension of `path` (.png, .pdf, .svg, ...).
@@ -47,10 +49,11 @@ class Picture:
 
 
 class _Look(NamedTuple):
-    """Hold what all pictures of a run share: the colour `scale` of a `field`, the `shapes` of its walls, and
-    the `camera`."""
+    """Hold what all pictures of a run share: the colour `scale` of a field, its `label` and its `values` by
+    frame, the `shapes` of the walls, and the `camera`. Without a field there are neither scale nor values."""
 
-    field: str
+    label: str
+    values: Mapping[int, Values]
     shapes: Sequence[AbstractShape]
     pixels: int
     camera: Camera
@@ -75,9 +78,8 @@ def picture(
 
     **Raises:** ValueError for an unknown field, a frame that the run does not have, or a `view` along `up`.
     """
-    return Picture(
-        _drawn(run, _number(run, frame), _look(run, [_number(run, frame)], field, walls, view, up, pixels))
-    )
+    number = _number(run, frame)
+    return Picture(_drawn(run, number, _look(run, [number], field, walls, view, up, pixels)))
 
 
 def film(
@@ -102,7 +104,7 @@ def film(
     """
     path = Path(path)
     kind = path.suffix.lower()
-    if kind not in (".gif", ".mp4"):
+    if kind not in FILMS:
         raise ValueError(f"{path.name!r} is no film: end its name in .gif or .mp4.")
     chosen = [_number(run, frame) for frame in (range(len(run.t)) if frames is None else frames)]
     look = _look(run, chosen, field, walls, view, up, pixels)
@@ -131,34 +133,26 @@ def _look(
     kind = field_kind(field)
     shapes = wall_shapes(run) if walls else ()
     camera = camera_of(run.x[frames].reshape(-1, 3), Walls(shapes, float(run.t[frames[0]])), view, up)
-    scale = None
-    if kind is not None:
-        values = np.concatenate([kind.values(run, frame) for frame in frames])
-        scale = color_scale(values, signed=kind.signed)
-    return _Look(field, shapes, pixels, camera, scale)
+    if kind is None:
+        return _Look("", {}, shapes, pixels, camera, None)
+    values = {frame: kind.values(run, frame) for frame in frames}
+    scale = color_scale(np.concatenate([values[frame] for frame in frames]), signed=kind.signed)
+    return _Look(kind.label, values, shapes, pixels, camera, scale)
 
 
 def _drawn(run: Run, frame: int, look: _Look) -> Figure:
     """Return the figure of a frame."""
-    kind = field_kind(look.field)
-    color = PAPER if look.scale is None else look.scale
     return sheet_figure(
         run.mesh,
         run.x[frame],
-        color,
-        None if kind is None else kind.values(run, frame),
-        label="" if kind is None else kind.label,
+        PAPER if look.scale is None else look.scale,
+        look.values.get(frame),
+        label=look.label,
         camera=look.camera,
         walls=Walls(look.shapes, float(run.t[frame])),
         pixels=look.pixels,
         caption=about(run, t=run.t[frame]),
     )
-
-
-def _encoded(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI)
-    return buffer.getvalue()
 
 
 def _pixels_of(figure: Figure) -> np.ndarray:

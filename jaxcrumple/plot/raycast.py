@@ -116,9 +116,11 @@ def cast(
         shift = (np.array([k % RAYS, k // RAYS]) + rng.random((*shape, 2))) / RAYS
         origins = caster.camera.origins(shape, shift)
         hits = caster.hits(origins)
-        light = _ambient(caster, hits, sky[k :: RAYS**2], turn[hits.rays])
+        # Slightly above the surface, from where rays do not meet it again.
+        above, rotation = hits.points + np.float32(OFFSET * caster.size) * hits.flat, turn[hits.rays]
+        light = _ambient(caster, hits, above, sky[k :: RAYS**2], rotation)
         for place in lamp[k :: RAYS**2]:
-            light += _lamp(caster, hits, place, turn[hits.rays]) / SHADOW
+            light += _lamp(caster, hits, above, place, rotation) / SHADOW
         seen = np.zeros_like(image)
         seen[hits.rays, :3] = _sided(color(hits), hits.back) * light[:, None]
         seen[hits.rays, 3] = 1.0
@@ -144,14 +146,18 @@ def _sided(
 
 
 def _ambient(
-    caster: Caster, hits: Hits, sky: Float[np.ndarray, "directions 2"], turn: Float[np.ndarray, " hits"]
+    caster: Caster,
+    hits: Hits,
+    points: Rays,
+    sky: Float[np.ndarray, "directions 2"],
+    turn: Float[np.ndarray, " hits"],
 ) -> Float[np.ndarray, " hits"]:
     """Return the light of the surroundings that the sheet does not block.
 
-    `sky` (d, 2): directions as points of the unit square; `turn` (hits,) in rad: rotation of all directions
-    of a hit around its normal.
+    `points` (hits, 3) in m: starts of the rays; `sky` (d, 2): directions as points of the unit square; `turn`
+    (hits,) in rad: rotation of all directions of a hit around its normal.
     """
-    points, normals, reach = _lifted(caster, hits), hits.normals, REACH * caster.size
+    normals, reach = hits.normals, REACH * caster.size
     first, second = _tangents(normals, turn)
     light = np.zeros(len(hits.rays), np.float32)
     for square, angle in sky:
@@ -167,11 +173,16 @@ def _ambient(
 
 
 def _lamp(
-    caster: Caster, hits: Hits, place: Float[np.ndarray, " 2"], turn: Float[np.ndarray, " hits"]
+    caster: Caster,
+    hits: Hits,
+    points: Rays,
+    place: Float[np.ndarray, " 2"],
+    turn: Float[np.ndarray, " hits"],
 ) -> Float[np.ndarray, " hits"]:
     """Return the light of the lamp, a disc far away, that reaches the hits.
 
-    `place` (2,): point of the disc as a point of the unit square; `turn` (hits,) in rad: rotation of it.
+    `points` (hits, 3) in m: starts of the rays; `place` (2,): point of the disc as a point of the unit
+    square; `turn` (hits,) in rad: rotation of it.
     """
     axis = np.array(LAMP) @ caster.camera.axes
     axis = axis / np.linalg.norm(axis)
@@ -182,13 +193,8 @@ def _lamp(
     directions = ((axis + radius * plane) / np.sqrt(1.0 + radius**2)).astype(np.float32)
     slope = np.einsum("hi,hi->h", directions, hits.normals)
     facing = (slope > 0) & (np.einsum("hi,hi->h", directions, hits.flat) > 0)
-    free = caster.distances(_lifted(caster, hits), directions) > 10.0 * caster.size
+    free = caster.distances(points, directions) > 10.0 * caster.size
     return DIRECT * np.where(facing & free, slope, 0.0)
-
-
-def _lifted(caster: Caster, hits: Hits) -> Rays:
-    """Return the points of the hits, slightly above the surface, from where rays do not meet it again."""
-    return hits.points + np.float32(OFFSET * caster.size) * hits.flat
 
 
 def _tangents(normals: Rays, turn: Float[np.ndarray, " rays"]) -> tuple[Rays, Rays]:

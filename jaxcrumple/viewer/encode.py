@@ -35,6 +35,16 @@ FINE, COARSE = 65535, 255
 # Rows of the history that a page keeps at most.
 ROWS = 1500
 
+# The number of each kind of wall that is a function of time.
+MOVING: Mapping[type, str] = {
+    shapes.Sphere: "radius",
+    shapes.Cylinder: "radius",
+    shapes.HoledPlate: "radius",
+    shapes.Plane: "offset",
+    shapes.Cone: "height",
+    shapes.Ball: "height",
+}
+
 Json = dict[str, Any]
 
 
@@ -144,20 +154,16 @@ def _on_nodes(mesh: Mesh, values: Float[np.ndarray, " ..."]) -> Float[np.ndarray
 
 def _wall(shape: AbstractShape, times: Float[np.ndarray, " frames"]) -> Json | None:
     """Return the kind of a wall and its numbers at all times; None for a shape of the user's own."""
-    kind = type(shape).__name__
-    if kind not in ("Sphere", "Cylinder", "Plane", "Cone", "Ball", "HoledPlate"):
+    moving = MOVING.get(type(shape))
+    if moving is None:
         return None
-    found: Json = {"kind": kind}
-    moving = {shapes.Sphere: "radius", shapes.Cylinder: "radius", shapes.HoledPlate: "radius",
-              shapes.Plane: "offset", shapes.Cone: "height", shapes.Ball: "height"}[type(shape)]  # fmt: skip
+    found: Json = {"kind": type(shape).__name__}
     for name in ("center", "axis", "normal"):
         if hasattr(shape, name):
             found[name] = np.asarray(getattr(shape, name)).tolist()
-    for name in ("half_angle", "edge"):
-        if hasattr(shape, name):
+    for name in ("half_angle", "edge", "radius"):
+        if hasattr(shape, name) and name != moving:
             found[name] = float(getattr(shape, name))
-    if kind == "Ball":
-        found["radius"] = float(shape.radius)  # type: ignore[attr-defined]
     found["moves"] = [float(getattr(shape, moving)(float(t))) for t in times]
     return found
 

@@ -22,19 +22,6 @@ SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]) * 0.1
 HALVES = np.array([[0, 1, 2], [0, 2, 3]])
 
 
-@pytest.fixture(scope="module")
-def mesh():
-    return rectangle(0.1, 0.1, 300, sweeps=20)
-
-
-@pytest.fixture(scope="module")
-def folded(mesh):
-    u = mesh.vertices[:, 0]
-    x = mesh.vertices * [0.8, 1, 1]
-    x[:, 2] = 0.6 * (np.abs(u - 0.02) - np.abs(u + 0.02))
-    return x
-
-
 def grey(hits):
     return np.full((len(hits.rays), 3), 0.5)
 
@@ -56,16 +43,16 @@ def test_coverage_is_the_projected_area(view):
     assert image[0, :, 3].max() == image[:, 0, 3].max() == 0.0
 
 
-def test_hits_are_on_the_sheet(mesh, folded):
-    camera = camera_for(folded)
-    caster = raycast.Caster(mesh.faces, folded, camera)
+def test_hits_are_on_the_sheet(mesh, bent):
+    camera = camera_for(bent)
+    caster = raycast.Caster(mesh.faces, bent, camera)
     shape = camera.shape(200)
     origins = camera.origins(shape, np.full((*shape, 2), 0.5))
     hits = caster.hits(origins)
     along = origins[hits.rays] - hits.distances[:, None] * camera.axes[2]
     np.testing.assert_allclose(hits.points, along, atol=1e-5)
     # Single precision moves points along their triangle, not off it: rays to the lamp start above it.
-    height = hits.points - (folded[mesh.faces[hits.faces, 0]] - camera.center)
+    height = hits.points - (bent[mesh.faces[hits.faces, 0]] - camera.center)
     np.testing.assert_allclose(np.einsum("hi,hi->h", height, hits.flat), 0.0, atol=3e-8)
     assert hits.shares.min() > -1e-5
     np.testing.assert_allclose(hits.shares.sum(axis=1), 1.0, rtol=1e-6)
@@ -204,12 +191,12 @@ def test_a_wall_in_front_covers_the_sheet_and_one_behind_does_not():
         assert image[40, 200, 3] > 0 == plain[40, 200, 3]
 
 
-def test_the_camera_sees_the_walls(folded):
+def test_the_camera_sees_the_walls(bent):
     sphere = Walls([Sphere(np.zeros(3), Ramp(0.08, -0.01))], 1.0)
     points = surface_points(sphere.shapes, 1.0, np.zeros(3), 0.1)
     np.testing.assert_allclose(np.linalg.norm(points, axis=1), 0.07, atol=1e-5)
     assert len(points) > 400
-    assert camera_of(folded, sphere).width > 2 * 0.069 > camera_of(folded).width
+    assert camera_of(bent, sphere).width > 2 * 0.069 > camera_of(bent).width
 
 
 def test_colours_are_those_of_the_scale(mesh):
@@ -221,15 +208,15 @@ def test_colours_are_those_of_the_scale(mesh):
     np.testing.assert_allclose(srgb(image)[0, 0], [*expected, 0.5], atol=1e-12)
 
 
-def test_plot(tmp_path, mesh, folded, kept_figures):
+def test_plot(tmp_path, mesh, bent, kept_figures):
     figures = kept_figures(sheet_module)
     path = tmp_path / "sheet.png"
-    assert plot_sheet(mesh, folded, caption="n = 300, rtol = 1e-4", pixels=300, path=path) == path
+    assert plot_sheet(mesh, bent, caption="n = 300, rtol = 1e-4", pixels=300, path=path) == path
     assert colors(path) > 100
     axes, bar = figures[0].axes
     assert figures[0].get_suptitle() == "n = 300, rtol = 1e-4"
     assert bar.get_ylabel() == "mean curvature $H$ [1/m]"
-    camera = camera_of(folded)
+    camera = camera_of(bent)
     assert np.ptp(axes.get_xlim()) == pytest.approx(1e3 * camera.width)
     assert axes.get_aspect() == 1.0
     (line,) = axes.lines
@@ -237,14 +224,14 @@ def test_plot(tmp_path, mesh, folded, kept_figures):
 
 
 @pytest.mark.parametrize("sorted_", [False, True])
-def test_other_colours(tmp_path, mesh, folded, kept_figures, monkeypatch, sorted_):
+def test_other_colours(tmp_path, mesh, bent, kept_figures, monkeypatch, sorted_):
     """A value of a node or triangle is seen, also where Embree has no wheel; zeros and a colour are plain."""
     if sorted_:
         monkeypatch.setattr(sheet_module.importlib.util, "find_spec", lambda name: None)
     figures = kept_figures(sheet_module)
     hues = []
     for color in (mesh.vertices[:, 0], mesh.face_area, np.zeros(mesh.n_nodes), "tab:red"):
-        plot_sheet(mesh, folded, color=color, label="m2", pixels=300, path=tmp_path / "a.png")
+        plot_sheet(mesh, bent, color=color, label="m2", pixels=300, path=tmp_path / "a.png")
         assert colors(tmp_path / "a.png") > 50
         axes = figures[-1].axes[0]
         if sorted_:
@@ -257,13 +244,13 @@ def test_other_colours(tmp_path, mesh, folded, kept_figures, monkeypatch, sorted
     assert min(hues[:2]) > 5 * max(hues[2:])
 
 
-def test_wrong_input_is_refused(tmp_path, mesh, folded):
+def test_wrong_input_is_refused(tmp_path, mesh, bent):
     with pytest.raises(ValueError, match="one value per node or per face"):
-        plot_sheet(mesh, folded, color=np.zeros(3), path=tmp_path / "a.png")
+        plot_sheet(mesh, bent, color=np.zeros(3), path=tmp_path / "a.png")
     with pytest.raises(ValueError, match="must not be zero or parallel"):
-        plot_sheet(mesh, folded, view=(0, 0, 1), path=tmp_path / "a.png")
+        plot_sheet(mesh, bent, view=(0, 0, 1), path=tmp_path / "a.png")
     with pytest.raises(ValueError, match="'bmpp' is not supported"):
-        plot_sheet(mesh, folded, pixels=50, path=tmp_path / "a.bmpp")
+        plot_sheet(mesh, bent, pixels=50, path=tmp_path / "a.bmpp")
     with pytest.raises(RunDirectoryError, match="cannot write"):
-        plot_sheet(mesh, folded, pixels=50, path=tmp_path / "nowhere" / "a.png")
+        plot_sheet(mesh, bent, pixels=50, path=tmp_path / "nowhere" / "a.png")
     assert list(tmp_path.iterdir()) == []

@@ -1,35 +1,23 @@
 """Pictures show the walls that a run had."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pandas as pd
 import pytest
+from folding import folding_run
 
-from jaxcrumple import Run, configure
+from jaxcrumple import configure
 from jaxcrumple.plot.surroundings import wall_shapes
 from jaxcrumple.scenes.catalogue import SCENES
-
-
-def run_of(config, setup, t):
-    x = np.asarray(setup.x)[None]
-    return Run(
-        np.array([t]),
-        x,
-        0 * x,
-        np.zeros((1, len(setup.mesh.hinges))),
-        setup.mesh,
-        config,
-        {},
-        *2 * [pd.DataFrame()],
-    )
 
 
 @pytest.mark.parametrize("scene", sorted(SCENES))
 def test_walls_are_those_of_the_run(scene):
     config = configure(scene, nodes=120)
     setup, t = config.build(), 0.3 * config.t_end
-    walls = wall_shapes(run_of(config.model_dump(mode="json"), setup, t))
+    walls = wall_shapes(folding_run(scene, nodes=120))
     assert len(walls) == len(setup.scene.walls)
     points = jnp.asarray(np.random.default_rng(0).uniform(-0.1, 0.1, (50, 3)))
     for shape, wall in zip(walls, setup.scene.walls, strict=True):
@@ -39,16 +27,13 @@ def test_walls_are_those_of_the_run(scene):
 
 
 def test_a_run_of_another_scene_or_version_has_none():
-    config = configure("radial", nodes=120)
-    setup = config.build()
+    run = folding_run()
     for change in ({"scene": "python"}, {"scene": "file.py:mine"}, {"options": {"long_ago": 1}}):
-        changed = {**config.model_dump(mode="json"), **change}
-        assert wall_shapes(run_of(changed, setup, 0.0)) == ()
+        assert wall_shapes(replace(run, config={**run.config, **change})) == ()
 
 
 def test_single_precision_draws_walls_too():
     """A notebook that only draws has not set double precision."""
-    config = configure("radial", nodes=120)
-    run = run_of(config.model_dump(mode="json"), config.build(), 0.0)
+    run = folding_run()
     with jax.enable_x64(False):
         assert len(wall_shapes(run)) == 1

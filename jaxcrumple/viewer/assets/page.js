@@ -124,8 +124,8 @@ class Page {
     $("scale").hidden = this.field === null;
     if (this.field === null || this.scaled === this.field) return;
     this.scaled = this.field;
-    const [panel] = this.panels, { low, high, label } = panel.surface.about.fields[this.field];
-    const { signed } = panel.surface.about.fields[this.field], table = signed ? this.palette.signed : this.palette.plain;
+    const { low, high, label, signed } = this.panels[0].surface.about.fields[this.field];
+    const table = signed ? this.palette.signed : this.palette.plain;
     const context = $("colours").getContext("2d"), image = context.createImageData(256, 1);
     for (let k = 0; k < 256; k++) image.data.set([table[3 * k], table[3 * k + 1], table[3 * k + 2], 255], 4 * k);
     context.putImageData(image, 0, 0);
