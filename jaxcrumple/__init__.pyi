@@ -28,6 +28,7 @@ from .model.walls import (
     Sphere,
     Wall,
 )
+from .observers import Observer, PhaseObserver
 from .options.validation import ConfigError
 from .plot.picture import Picture, film, picture
 from .replays.record import Record
@@ -87,7 +88,9 @@ __all__ = [
     "Mesh",
     "MeshError",
     "MeshWarning",
+    "Observer",
     "Parameter",
+    "PhaseObserver",
     "Picture",
     "PiecewiseLinear",
     "Plane",

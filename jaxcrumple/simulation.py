@@ -3,7 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -19,11 +19,12 @@ from jaxcrumple._jax.stored_programs import StoredJit
 from jaxcrumple._jax.threads import limited_blas
 from jaxcrumple._jax.tree import as_float, is_number, require_limit
 from jaxcrumple.model.loads import check_motion
+from jaxcrumple.observers import NO_ROWS, Observer, tell_phase, tell_rows
 from jaxcrumple.replays.record import Record, StepRecorder
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.contact.reallocate import Reallocation
 from jaxcrumple.solvers.integrate import integrate
-from jaxcrumple.solvers.log import COLUMNS, Log
+from jaxcrumple.solvers.log import Log
 from jaxcrumple.solvers.scheme import Integrator, checked_solver, integrator
 from jaxcrumple.solvers.start import check_gap, check_start, pierced
 from jaxcrumple.solvers.tables import events_table, history_table, joined
@@ -61,16 +62,6 @@ class SimulationError(RuntimeError):
     def __init__(self, solution: "Solution"):
         super().__init__(f"{solution.result}: {solution.message}")
         self.solution = solution
-
-
-class Observer(Protocol):
-    """Receive the progress of a run, e.g. to save or to show it."""
-
-    def frame(self, index: int, state: State) -> None:
-        """Receive the state at each frame time."""
-
-    def chunk(self, state: State, history: pd.DataFrame, events: pd.DataFrame, frames: int) -> None:
-        """Receive the new rows and the number of frames so far, at frame times and between them."""
 
 
 @dataclass(repr=False)
@@ -142,7 +133,7 @@ def simulate(
 
     - `times`: increasing frame times in s, or the end time alone.
     - `solver`: `integrator(...)`, by default `integrator()`.
-    - `observers`: receive every frame and every chunk of steps.
+    - `observers`: receive every frame and every chunk of steps; a `PhaseObserver` also every change of phase.
     - `first_frame`: index of the first of `times` that the run has not reached (for a resumed run).
     - `max_attempts`, `max_seconds`: budget of step attempts and of wall time; a run that exceeds one
       stops with the result "budget".
@@ -174,10 +165,13 @@ def simulate(
     with limited_blas():
         reallocation = None
         if scene.contact is not None:
+            tell_phase(watchers, "searching")
             reallocation = Reallocation(scene, solver.one_matrix)
             scene = reallocation.first(scene, state)
             check_gap(scene, state)
+        tell_phase(watchers, "compiling")
         compile_s = _compile(scene, state, solver, recorder)
+        tell_phase(watchers, "stepping")
         start = time.perf_counter()
         budget = _Budget(state, max_attempts, max_seconds)
         state = eqx.tree_at(lambda s: s.result, state, RESULTS.success)
@@ -311,30 +305,22 @@ def _advance(
             state = eqx.tree_at(lambda s: s.result, state, RESULTS.budget)
         else:
             state, log = _called(scene, state, as_float(t_stop), solver, as_float(left), recorder)
+            tell_phase(watchers, "stepping")
             rows.append(np.asarray(log.rows)[: int(log.length)].copy())
             waits = waits + 1 if _attempts(state) == made else 0
         if waits > MOST_WAITS and _name(state) == "success":
             state = eqx.tree_at(lambda s: s.result, state, RESULTS.collapsed)
         over = _name(state) != "success" or float(state.t) >= t_stop
         if over or time.perf_counter() - told > CHUNK:
-            _tell(watchers, state, np.concatenate([_NO_ROWS, *rows]), frames)
+            tell_rows(watchers, state, rows, frames)
             rows, told = [], time.perf_counter()
         if over:
             break
         if reallocation is not None:
+            if reallocation.overflows(state):
+                tell_phase(watchers, "compiling")
             scene = reallocation(scene, state)
     return scene, state
-
-
-_NO_ROWS = np.zeros((0, len(COLUMNS)))
-
-
-def _tell(
-    watchers: Sequence[Observer], state: State, rows: Float[np.ndarray, "rows columns"], frames: int
-) -> None:
-    history, events = history_table(rows), events_table(rows)
-    for watcher in watchers:
-        watcher.chunk(state, history, events, frames)
 
 
 def _name(state: State) -> str:
@@ -356,8 +342,8 @@ def _solution(state: State, kept: _Kept, compile_s: float, run_s: float) -> Solu
         x=np.array(kept.x).reshape(-1, *shape),
         v=np.array(kept.v).reshape(-1, *shape),
         p=None if state.p is None else np.array(kept.p).reshape(-1, state.p.shape[0]),
-        history=joined(kept.history, history_table(_NO_ROWS)),
-        events=joined(kept.events, events_table(_NO_ROWS)),
+        history=joined(kept.history, history_table(NO_ROWS)),
+        events=joined(kept.events, events_table(NO_ROWS)),
         compile_s=compile_s,
         run_s=run_s,
     )

@@ -15,8 +15,8 @@ PACKAGE = Path(jaxcrumple.__file__).parent
 #: From the top down; the modules `__init__` and `__main__` may import all of them.
 ROOMS = (
     "_jax", "options", "geometry", "mesh", "material", "model", "contact", "assembly", "scene", "history",
-    "state", "system", "solvers", "replays", "simulation", "measure", "io", "scenes", "calibrate", "run",
-    "sweeps", "plot", "viewer", "paper", "cli",
+    "state", "system", "solvers", "replays", "observers", "simulation", "measure", "io", "scenes",
+    "calibrate", "run", "sweeps", "plot", "viewer", "paper", "cli",
 )  # fmt: skip
 
 

@@ -116,7 +116,8 @@ def run(
             go = partial(resume_run, folder) if resume else partial(start_run, config, folder)
             summary = go([progress], max_seconds=limit)
         tell_outcome(summary)
-    with noted(lambda: f"the run has ended and is saved; draw it with: {command('plot', folder)}"):
+    draw = command("plot", folder)
+    with noted(lambda: f"the run has ended and is saved; draw it with: {draw}"), console.status("drawing"):
         pictures = draw_run(folder)
     for picture in pictures:
         say(f"picture: {picture}")

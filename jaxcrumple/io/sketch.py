@@ -10,6 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxcrumple._jax.arrays import HingeValues
+from jaxcrumple._jax.stored_programs import StoredJit
+from jaxcrumple.model.plasticity import AbstractFlowRule
 from jaxcrumple.scene import Scene
 
 # Relative tolerance for equality of numbers that another process or machine computed.
@@ -49,10 +52,15 @@ def sketch_scene(scene: Scene, x: Any) -> dict[str, list[float]]:
     found = {name: [*sketch(part), kinds(part)] for name, part in {**parts, "start": x}.items()}
     if scene.plasticity is not None:
         # Two laws may have the same name and numbers.
-        ones = jnp.ones(scene.bending.nodes.shape[0])
-        rates = [scene.plasticity.rate(c * ones, p * ones) for c, p in SAMPLES]
-        found["plasticity"] += sketch(rates)
+        found["plasticity"] += sketch(_rates(scene.plasticity, scene.bending.nodes.shape[0]))
     return found
+
+
+@StoredJit
+def _rates(law: AbstractFlowRule, hinges: int) -> list[HingeValues]:
+    """Return the rates in 1/s of a flow rule at `SAMPLES`, for each hinge."""
+    ones = jnp.ones(hinges)
+    return [law.rate(c * ones, p * ones) for c, p in SAMPLES]
 
 
 def kinds(tree: Any) -> float:

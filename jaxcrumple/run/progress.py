@@ -2,41 +2,53 @@
 
 import time
 
+import numpy as np
 import pandas as pd
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Column
 
+from jaxcrumple.observers import Phase
 from jaxcrumple.run.locking import locking
+from jaxcrumple.run.pace import Pace, duration
 from jaxcrumple.simulation import explain
 from jaxcrumple.solvers.log import ENERGIES
 from jaxcrumple.state import STAGES, State
 
 # Seconds between lines if the output is not a terminal.
 INTERVAL = 10.0
-# Share of the simulated time below which the remaining time cannot be estimated.
-EARLY = 0.05
+# What each phase waits for.
+WAITING = {
+    "building": "mesh and scene",
+    "searching": "layers near each other",
+    "compiling": "once per kind of run and size of lists; later runs read the program",
+    "stepping": "",
+}
 
 
 class ConsoleProgress:
-    """Show time, stage, step size, energy, remaining time, and the cause if a run is slow."""
+    """Show phase, time, rate, remaining time, stage, step size, energy, and the cause if a run is slow."""
 
     def __init__(self, t_end: float, console: Console):
         self.console = console
+        self.t_end = t_end
+        self.now = ""
         self.last: State | None = None
-        self.printed = self.begin = self.first = 0.0
+        self.pace: Pace | None = None
+        self.printed = 0.0
         columns = (
-            TextColumn("t = {task.completed:.4f} of {task.total:.4g} s"),
+            SpinnerColumn(),
+            TextColumn("{task.fields[phase]}"),
+            TimeElapsedColumn(),
             BarColumn(bar_width=20),
-            TimeRemainingColumn(),
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", table_column=Column(ratio=1, no_wrap=True, overflow="ellipsis")),
         )
-        self.bar = Progress(*columns, console=console, disable=not console.is_terminal)
-        self.task = self.bar.add_task("compiling", total=t_end)
+        self.bar = Progress(*columns, console=console, expand=True, disable=not console.is_terminal)
+        self.task = self.bar.add_task("", total=t_end, phase="")
 
     def __enter__(self) -> "ConsoleProgress":
         self.bar.start()
-        if not self.console.is_terminal:
-            self._say("compiling")
+        self._enter("building")
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -45,18 +57,14 @@ class ConsoleProgress:
     def frame(self, index: int, state: State) -> None:
         """Ignore frames."""
 
+    def phase(self, phase: Phase) -> None:
+        """Show what the run waits for."""
+        if phase != self.now:
+            self._enter(phase)
+
     def chunk(self, state: State, history: pd.DataFrame, events: pd.DataFrame, frames: int) -> None:
         """Update the bar, or print a line."""
-        if self.last is None:
-            self.begin, self.first = time.perf_counter(), float(state.t)
-        stage = STAGES[int(state.stage)]
-        h = float(state.h_explicit if stage == "explicit" else state.h)
-        why = explain(self.last, state) if self.last is not None else ""
-        energy = locks = ""
-        if len(history):
-            last = history[list(ENERGIES)].iloc[-1]
-            energy, locks = f"E = {last.sum() * 1e3:.3g} mJ", locking(last.to_dict())
-        text = ", ".join(part for part in (stage, f"h = {h:.1e} s", energy, locks, why) if part)
+        text = self._told(state, history)
         self.bar.update(self.task, completed=float(state.t), description=text)
         for event in events.itertuples():
             if "quasistatic" not in (event.origin, event.to):
@@ -65,16 +73,41 @@ class ConsoleProgress:
         now = time.perf_counter()
         if not self.console.is_terminal and now - self.printed > INTERVAL:
             self.printed = now
-            total = self.bar.tasks[self.task].total or 0.0
-            self._say(f"t = {float(state.t):.4f} of {total:.4g} s, {self._left(state, total)}{text}")
+            self._say(text)
         self.last = state
+
+    def _enter(self, phase: str) -> None:
+        self.now = phase
+        self.bar.update(self.task, phase=phase)
+        if waiting := WAITING[phase]:
+            self.bar.update(self.task, description=waiting)
+            if not self.console.is_terminal:
+                self._say(f"{phase}: {waiting}")
 
     def _say(self, line: str) -> None:
         self.bar.console.print(line, soft_wrap=True, highlight=False, markup=False)
 
-    def _left(self, state: State, total: float) -> str:
-        """Estimate the remaining time from the mean speed since the first steps, as text."""
-        gone = float(state.t) - self.first
-        if gone < EARLY * total:
-            return ""
-        return f"about {(total - float(state.t)) * (time.perf_counter() - self.begin) / gone:.0f} s left, "
+    def _told(self, state: State, history: pd.DataFrame) -> str:
+        """Describe the present state, and the way since the last one."""
+        parts = [f"t = {float(state.t):.4f} of {self.t_end:.4g} s", *self._rate(state)]
+        stage = STAGES[int(state.stage)]
+        h = float(state.h_explicit if stage == "explicit" else state.h)
+        parts += [stage, f"h = {h:.1e} s"]
+        if len(history):
+            energies = history[list(ENERGIES)].iloc[-1]
+            parts += [f"E = {energies.sum() * 1e3:.3g} mJ", locking(energies.to_dict())]
+        if self.last is not None:
+            parts.append(explain(self.last, state))
+        return ", ".join(part for part in parts if part)
+
+    def _rate(self, state: State) -> list[str]:
+        """Return steps per second since the last state, and the remaining time."""
+        now, t = time.perf_counter(), float(state.t)
+        if self.pace is None or self.last is None:
+            self.pace = Pace(now, t)
+            return []
+        made = int(np.sum(np.asarray(state.counters.steps) - np.asarray(self.last.counters.steps)))
+        parts = [f"{made / (now - self.pace.w[-1]):.0f} steps/s"]
+        self.pace.add(now, t)
+        left = self.pace.left(self.t_end)
+        return parts if left is None or t >= self.t_end else [*parts, f"{duration(left)} or more left"]

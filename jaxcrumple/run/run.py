@@ -20,12 +20,13 @@ from jaxcrumple.io.rundir import FILM, PARTIAL, RUN, is_run, make_folder, read_c
 from jaxcrumple.io.sketch import SAME, first_difference, sketch_scene
 from jaxcrumple.io.verify import check_sound, damages, go_back
 from jaxcrumple.mesh.mesh import Mesh
+from jaxcrumple.observers import Observer
 from jaxcrumple.options.validation import ConfigError
 from jaxcrumple.run.config import PYTHON, RunConfig, SolverOptions, config_of
 from jaxcrumple.run.estimate import require_config
 from jaxcrumple.run.summary import physics
 from jaxcrumple.scenes.setup import Setup
-from jaxcrumple.simulation import Observer, frame_times, simulate
+from jaxcrumple.simulation import frame_times, simulate
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.solvers.start import check_start, pierced
 from jaxcrumple.state import RESULTS, STAGES, State, initial_state

@@ -17,6 +17,8 @@ from jaxcrumple.run.locking import is_locked
 from jaxcrumple.scene import Scene
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.solvers.contact.reallocate import with_contacts
+from jaxcrumple.solvers.log import ENERGIES
+from jaxcrumple.solvers.start import wall_gap
 from jaxcrumple.state import CAUSES, QUASISTATIC, State
 from jaxcrumple.system import energies
 
@@ -28,21 +30,22 @@ def physics(setup: Setup, state: State, history: pd.DataFrame, events: pd.DataFr
     rejected = np.asarray(state.counters.rejected)
     return {
         "rejected_by_cause": {cause: int(rejected[i]) for i, cause in enumerate(CAUSES)},
-        **figures(setup, state),
+        **figures(setup, state, _last_energies(state, history)),
         "dynamic_share": dynamic_share(state, events),
         "step_size_s": _quantiles(history),
     }
 
 
-def figures(setup: Setup, state: State) -> dict[str, Any]:
-    """Compute energies in J, strains, penetration, gap and crease length in m of a state."""
+def figures(setup: Setup, state: State, energy: dict[str, float] | None = None) -> dict[str, Any]:
+    """Compute energies in J (unless given), strains, penetration, gap and crease length in m of a state."""
     mesh, scene = setup.mesh, with_contacts(setup.scene, state.x)
     x = np.asarray(state.x)
     p = np.asarray(scene.rest_curvature_of(state.p))
-    parts = _energies(scene, state.x, state.v, state.p, state.t)
-    energy = {name: float(value) for name, value in parts._asdict().items()}
+    if energy is None:
+        parts = _energies(scene, state.x, state.v, state.p, state.t)
+        energy = {name: float(value) for name, value in parts._asdict().items()}
     strain = edge_strain(mesh, x)
-    gaps = [np.min(np.asarray(wall.gap(state.x, state.t))) for wall in scene.walls]
+    gaps = [np.min(np.asarray(wall_gap(wall, state.x, state.t))) for wall in scene.walls]
     return {
         "energy": energy,
         "locked": is_locked(energy),
@@ -54,6 +57,14 @@ def figures(setup: Setup, state: State) -> dict[str, Any]:
         "inverted_hinges": folded_hinges(mesh, x),
         "crease_length": crease_length(mesh, p),
     }
+
+
+def _last_energies(state: State, history: pd.DataFrame) -> dict[str, float] | None:
+    """Return the energies in J of a run's last state from its history, which spares compiling them; None if
+    its last row is of an earlier state."""
+    if not len(history) or history["t"].iloc[-1] != float(state.t):
+        return None
+    return {name: float(history[name].iloc[-1]) for name in ENERGIES}
 
 
 def _contacts(mesh: Mesh, scene: Scene, x: Float[np.ndarray, "nodes 3"]) -> dict[str, Any]:

@@ -52,14 +52,17 @@ def check_start(scene: Scene, state: State) -> None:
 
 
 @StoredJit
-def _gap(wall: Wall, x: NodeVectors, t: Scalar) -> NodeValues:
+def wall_gap(wall: Wall, x: NodeVectors, t: Scalar) -> NodeValues:
     """Return the distance (n,) in m of nodes at `x` (n, 3) from a wall."""
     return wall.gap(x, t)
 
 
 def _check_walls(scene: Scene, state: State) -> None:
     for index, wall in enumerate(scene.walls):
-        gap, name = np.asarray(_gap(wall, state.x, state.t)), f"wall {index} ({type(wall.shape).__name__})"
+        gap, name = (
+            np.asarray(wall_gap(wall, state.x, state.t)),
+            f"wall {index} ({type(wall.shape).__name__})",
+        )
         if np.any(np.isnan(gap)):
             node = int(np.argmax(np.isnan(gap)))
             raise ValueError(

@@ -80,6 +80,11 @@ class Reallocation:
         fits = lists.pairs.capacity == self.capacity
         return with_lists(scene, lists if fits else self._emptied(lists))
 
+    @staticmethod
+    def overflows(state: State) -> bool:
+        """Return whether a list overflowed, so that the next call of `integrate` needs a compilation."""
+        return state.listing is not None and bool(np.any(np.asarray(state.listing.needed)))
+
     def first(self, scene: Scene, state: State) -> Scene:
         """Return the scene for the first call of `integrate`; for a saved state, rebuild the lists it had."""
         listing = state.listing
