@@ -22,9 +22,13 @@ def plot(
         str | None, typer.Option(help="Direction from the sheet to the camera of --out, X,Y,Z.")
     ] = None,
     walls: Annotated[bool, typer.Option(help="Whether --out shows the walls.")] = True,
+    width: Annotated[
+        str | None,
+        typer.Option(help="Width of --out in print, such as '86 mm': no caption, small letters, 600 dpi."),
+    ] = None,
 ) -> None:
     """Draw the pictures of a run again, and write its frames for ParaView; or draw one picture or a film."""
-    for picture in _all(folder) if out is None else [_one(folder, out, field, frame, view, walls)]:
+    for picture in _all(folder) if out is None else [_one(folder, out, field, frame, view, walls, width)]:
         say(str(picture))
 
 
@@ -62,7 +66,9 @@ def _all(folder: Path) -> list[Path]:
     return pictures if frames is None else [*pictures, frames]
 
 
-def _one(folder: Path, out: Path, field: str, frame: int, view: str | None, walls: bool) -> Path:
+def _one(
+    folder: Path, out: Path, field: str, frame: int, view: str | None, walls: bool, width: str | None
+) -> Path:
     from jaxcrumple.io import load
     from jaxcrumple.plot.camera import VIEW
     from jaxcrumple.plot.picture import FILMS, film, picture
@@ -71,7 +77,7 @@ def _one(folder: Path, out: Path, field: str, frame: int, view: str | None, wall
     run = load(folder)
     if out.suffix.lower() in FILMS:
         return film(run, out, field=field, walls=walls, view=direction)
-    return picture(run, frame, field=field, walls=walls, view=direction).save(out)
+    return picture(run, frame, field=field, walls=walls, view=direction, width=width).save(out)
 
 
 def _direction(text: str) -> tuple[float, ...]:

@@ -7,11 +7,14 @@ from pathlib import Path
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from jaxcrumple.io.atomic import write_bytes
 
-# Dots per inch of pictures of pixels.
-DPI = 160
+# Dots per inch of pictures of pixels, on a screen and in print; largest letters in print in points.
+DPI, PRINT_DPI = 160, 600
+LETTERS = 8.0
+INCH = 0.0254
 
 
 def new_figure(size: tuple[float, float], caption: str) -> Figure:
@@ -23,21 +26,32 @@ def new_figure(size: tuple[float, float], caption: str) -> Figure:
     return figure
 
 
-def save_figure(figure: Figure, path: str | Path) -> Path:
+def fit_to_print(figure: Figure, width: float) -> None:
+    """Change the figure to a `width` in m, with letters of at most `LETTERS` points."""
+    wide, high = figure.get_size_inches()
+    figure.set_size_inches(width / INCH, width / INCH * high / wide)
+    for axes in figure.axes:
+        axes.tick_params(labelsize=LETTERS)
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        text.set_fontsize(min(text.get_fontsize(), LETTERS))
+
+
+def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> Path:
     """Write the picture atomically, in the format of the extension of `path`.
 
     **Raises:** ValueError for an unknown extension, `RunDirectoryError` if `path` cannot be written.
     """
     path = Path(path)
-    write_bytes(path, encoded(figure, path.suffix[1:].lower() or "png"))
+    write_bytes(path, encoded(figure, path.suffix[1:].lower() or "png", dpi))
     return path
 
 
-def encoded(figure: Figure, kind: str) -> bytes:
+def encoded(figure: Figure, kind: str, dpi: int = DPI) -> bytes:
     """Return the picture as a file of a `kind`, such as "png".
 
     **Raises:** ValueError for an unknown kind.
     """
     buffer = io.BytesIO()
-    figure.savefig(buffer, format=kind, dpi=DPI)
+    figure.savefig(buffer, format=kind, dpi=dpi)
     return buffer.getvalue()

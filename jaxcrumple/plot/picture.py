@@ -18,24 +18,28 @@ from matplotlib.figure import Figure
 from jaxcrumple.io.atomic import write_bytes
 from jaxcrumple.io.run import Run
 from jaxcrumple.model.walls import AbstractShape
+from jaxcrumple.options.units import LENGTH
 from jaxcrumple.plot.camera import UP, VIEW, Camera
 from jaxcrumple.plot.fields import Values, field_kind
-from jaxcrumple.plot.figure import encoded, save_figure
+from jaxcrumple.plot.figure import DPI, INCH, PRINT_DPI, encoded, fit_to_print, save_figure
 from jaxcrumple.plot.plot import about
 from jaxcrumple.plot.sheet import PAPER, PIXELS, Walls, camera_of, color_scale, sheet_figure
 from jaxcrumple.plot.surroundings import wall_shapes
 
 # Frames per second of a film, longer side of its sheet in pixels, and its dots per inch.
 RATE, FILM_PIXELS, FILM_DPI = 10.0, 700, 100
+# Pixels per inch of a picture in print.
+PRINT_PIXELS = 300
 # Extensions of films.
 FILMS = (".gif", ".mp4")
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A picture that a notebook shows."""
+    """A picture that a notebook shows; `dpi`: dots per inch of its file."""
 
     figure: Figure
+    dpi: int = DPI
 
     def _repr_png_(self) -> bytes:
         return encoded(self.figure, "png")
@@ -45,7 +49,7 @@ class Picture:
 
         **Raises:** ValueError for an unknown extension, `RunDirectoryError` if `path` cannot be written.
         """
-        return save_figure(self.figure, path)
+        return save_figure(self.figure, path, self.dpi)
 
 
 class _Look(NamedTuple):
@@ -68,18 +72,28 @@ def picture(
     walls: bool = True,
     view: Sequence[float] = VIEW,
     up: Sequence[float] = UP,
-    pixels: int = PIXELS,
+    pixels: int | None = None,
+    width: float | str | None = None,
 ) -> Picture:
     """Draw a frame of a run, by index, in space.
 
     **Arguments:** `field`: "curvature", "damage", "strain", "contact", or "paper" for the shape alone;
     `walls`: whether to show the walls of a named scene; `view` (3,): direction from the sheet to the camera,
-    with `up` (3,) vertical; `pixels`: of the longer side of the sheet.
+    with `up` (3,) vertical; `pixels`: of the longer side of the sheet, by default 1000, or 300 an inch in
+    print; `width`: for print, in m or with a unit, such as "86 mm": no caption, letters of at most 8 points.
 
-    **Raises:** ValueError for an unknown field, a frame that the run does not have, or a `view` along `up`.
+    **Raises:** ValueError for an unknown field, a frame that the run does not have, a `view` along `up`, or a
+    width that is not a positive length.
     """
-    number = _number(run, frame)
-    return Picture(_drawn(run, number, _look(run, [number], field, walls, view, up, pixels)))
+    number, wide = _number(run, frame), None if width is None else _width(width)
+    if pixels is None:
+        pixels = PIXELS if wide is None else round(PRINT_PIXELS * wide / INCH)
+    look = _look(run, [number], field, walls, view, up, pixels)
+    if wide is None:
+        return Picture(_drawn(run, number, look, about(run, t=run.t[number])))
+    figure = _drawn(run, number, look, "")
+    fit_to_print(figure, wide)
+    return Picture(figure, PRINT_DPI)
 
 
 def film(
@@ -108,9 +122,20 @@ def film(
         raise ValueError(f"{path.name!r} is no film: end its name in .gif or .mp4.")
     chosen = [_number(run, frame) for frame in (range(len(run.t)) if frames is None else frames)]
     look = _look(run, chosen, field, walls, view, up, pixels)
-    images = (_pixels_of(_drawn(run, frame, look)) for frame in chosen)
+    images = (_pixels_of(_drawn(run, frame, look, about(run, t=run.t[frame]))) for frame in chosen)
     write_bytes(path, _gif(images, rate) if kind == ".gif" else _mp4(images, rate))
     return path
+
+
+def _width(width: float | str) -> float:
+    """Return the width of a picture in m."""
+    try:
+        wide = float(LENGTH.si(width))
+    except (TypeError, ValueError):
+        wide = np.nan
+    if not (np.isfinite(wide) and wide > 0):
+        raise ValueError(f"width = {width!r} must be a positive length in m, or with a unit such as '86 mm'.")
+    return wide
 
 
 def _number(run: Run, frame: int) -> int:
@@ -140,7 +165,7 @@ def _look(
     return _Look(kind.label, values, shapes, pixels, camera, scale)
 
 
-def _drawn(run: Run, frame: int, look: _Look) -> Figure:
+def _drawn(run: Run, frame: int, look: _Look, caption: str) -> Figure:
     """Return the figure of a frame."""
     return sheet_figure(
         run.mesh,
@@ -151,7 +176,7 @@ def _drawn(run: Run, frame: int, look: _Look) -> Figure:
         camera=look.camera,
         walls=Walls(look.shapes, float(run.t[frame])),
         pixels=look.pixels,
-        caption=about(run, t=run.t[frame]),
+        caption=caption,
     )
 
 

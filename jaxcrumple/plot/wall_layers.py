@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxcrumple._jax.stored_programs import StoredJit
+from jaxcrumple._jax.tree import as_float
 from jaxcrumple.model.walls import AbstractShape
 
 # Points along each ray at which the gap is compared with that at the next one.
 SAMPLES = 64
+# Rays that are traced at once.
+PART = 1 << 15
 # Steps of Newton's method from there.
 REFINED = 2
 # Directions in which a camera looks for walls.
@@ -42,7 +45,7 @@ def surface_points(
     points = []
     for wall in walls:
         first, last = np.zeros(len(ways)), np.full(len(ways), radius)
-        distance = np.asarray(_surfaces(wall, *map(jnp.asarray, (t, origins, ways, first, last)))[0][0])
+        distance = _crossed(wall, t, origins, ways, first, last)[0][0]
         found = np.isfinite(distance)
         points.append(origins[found] + distance[found, None] * ways[found])
     return np.concatenate(points)
@@ -68,20 +71,37 @@ def wall_layers(
     layers = []
     for wall in walls:
         ways = np.broadcast_to(direction, origins.shape)
-        distances, facings = _surfaces(
-            wall, *map(jnp.asarray, (t, origins, ways, middle - half, middle + half))
-        )
-        for distance, facing in zip(np.asarray(distances), np.asarray(facings), strict=True):
+        distances, facings = _crossed(wall, t, origins, ways, middle - half, middle + half)
+        for distance, facing in zip(distances, facings, strict=True):
             opacity = FACING + GRAZING * np.maximum(1.0 - facing, 0.0) ** SHARPNESS
             layers.append(Layer(distance, np.where(np.isfinite(distance), opacity, 0.0)))
     return layers
+
+
+def _crossed(
+    wall: AbstractShape,
+    t: float,
+    origins: Float[np.ndarray, "rays 3"],
+    directions: Float[np.ndarray, "rays 3"],
+    first: Float[np.ndarray, " rays"],
+    last: Float[np.ndarray, " rays"],
+) -> tuple[Float[np.ndarray, "2 rays"], Float[np.ndarray, "2 rays"]]:
+    """Return what `_surfaces` returns, computed in parts of PART rays, so that one program serves all."""
+    count, found = len(first), []
+    for start in range(0, count, PART):
+        # The last part repeats its last ray.
+        own = np.minimum(np.arange(start, start + PART), count - 1)
+        rays = (as_float(values[own]) for values in (origins, directions, first, last))
+        found.append(_surfaces(wall, as_float(t), *rays))
+    distances, facings = (np.concatenate(parts, axis=1)[:, :count] for parts in zip(*found, strict=True))
+    return distances, facings
 
 
 _Rays = Float[Array, " rays"]
 _Four = tuple[_Rays, _Rays, _Rays, _Rays]
 
 
-@eqx.filter_jit
+@StoredJit
 def _surfaces(
     wall: AbstractShape,
     t: Float[Array, ""],

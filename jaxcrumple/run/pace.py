@@ -20,6 +20,10 @@ class Pace:
         self.w.append(w)
         self.t.append(t)
 
+    def skip(self, seconds: float) -> None:
+        """Leave out a pause, e.g. to compile, since the last point."""
+        self.w = [w + seconds for w in self.w]
+
     def left(self, t_end: float) -> float | None:
         """Return the wall time in s to `t_end`; None before the run has moved."""
         now, half = self.w[-1], 0.5 * (self.w[0] + self.w[-1])

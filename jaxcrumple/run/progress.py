@@ -35,7 +35,7 @@ class ConsoleProgress:
         self.now = ""
         self.last: State | None = None
         self.pace: Pace | None = None
-        self.printed = 0.0
+        self.printed = self.since = 0.0
         columns = (
             SpinnerColumn(),
             TextColumn("{task.fields[phase]}"),
@@ -77,6 +77,11 @@ class ConsoleProgress:
         self.last = state
 
     def _enter(self, phase: str) -> None:
+        now = time.perf_counter()
+        if self.pace is not None:
+            if phase == "stepping":
+                self.pace.skip(now - self.since)
+            self.since = now
         self.now = phase
         self.bar.update(self.task, phase=phase)
         if waiting := WAITING[phase]:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from folding import folding_run
+from matplotlib.text import Text
 from PIL import Image
 
 from jaxcrumple.measure import edge_strain
@@ -23,6 +24,19 @@ def test_fields(run, field, tmp_path):
     assert [axes.get_ylabel() for axes in drawn.figure.axes[1:]] == ([] if kind is None else [kind.label])
     assert drawn._repr_png_()[1:4] == b"PNG"
     assert drawn.save(tmp_path / "a.pdf").read_bytes()[:4] == b"%PDF"
+
+
+def test_a_picture_for_print_has_the_width_of_a_column(run, tmp_path):
+    drawn = picture(run, walls=False, width="86 mm", pixels=120)
+    path = drawn.save(tmp_path / "a.png")
+    with Image.open(path) as image:
+        assert image.width == pytest.approx(600 * 86 / 25.4, abs=1)
+    drawn.figure.draw_without_rendering()
+    letters = {text.get_fontsize() for text in drawn.figure.findobj(Text) if text.get_text()}
+    assert letters and max(letters) <= 8
+    assert picture(run, walls=False, width=0.086, pixels=120).figure.get_size_inches()[0] == pytest.approx(
+        3.386, abs=1e-3
+    )
 
 
 def test_values(run):
@@ -74,4 +88,7 @@ def test_wrong_input_is_refused(run, tmp_path):
         picture(run, 4)
     with pytest.raises(ValueError, match="is no film: end its name in"):
         film(run, tmp_path / "a.avi")
+    for width in ("86 kg", "wide", -0.1, np.nan, [1.0]):
+        with pytest.raises(ValueError, match="must be a positive length in m"):
+            picture(run, width=width)
     assert list(tmp_path.iterdir()) == []

@@ -27,6 +27,14 @@ def test_a_run_that_slows_down_is_judged_by_its_last_half():
     assert expected / (36.0 - 16.0) == pytest.approx(0.683, abs=1e-3)
 
 
+def test_a_pause_does_not_count():
+    pace = paced([0.0, 10.0], [0.0, 1.0])
+    pace.skip(40.0)
+    pace.add(55.0, 1.5)
+    # 1.5 s in 15 s of stepping.
+    assert pace.left(3.0) == pytest.approx(15.0)
+
+
 def test_nothing_is_told_before_the_run_has_moved():
     assert paced([0.0, 10.0], [0.5, 0.5]).left(1.0) is None
 
