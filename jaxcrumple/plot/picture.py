@@ -79,7 +79,7 @@ def picture(
 
     **Arguments:** `field`: "curvature", "damage", "strain", "contact", or "paper" for the shape alone;
     `walls`: whether to show the walls of a named scene; `view` (3,): direction from the sheet to the camera,
-    with `up` (3,) vertical; `pixels`: of the longer side of the sheet, by default 1000, or 300 an inch in
+    with `up` (3,) vertical; `pixels`: of the longer side of the sheet, by default 820, or 300 an inch in
     print; `width`: for print, in m or with a unit, such as "86 mm": no caption, letters of at most 8 points.
 
     **Raises:** ValueError for an unknown field, a frame that the run does not have, a `view` along `up`, or a

@@ -31,7 +31,7 @@ DIVERGING = "RdBu_r"  # red: convex as seen from the side of the face normals
 # The largest curvatures occur at single sharp hinges; colours span the values of this share of the nodes.
 ROBUST = 0.98
 # Colour of a sheet without values, and longer side of a picture in pixels.
-PAPER, PIXELS = "#efe9dc", 1000
+PAPER, PIXELS = "#efe9dc", 820
 # Walls appear within a ball around the sheet whose radius is ROUND times the largest distance of its nodes.
 ROUND = 1.25
 # Length bar: its length is at most this share of the width; lengths in mm to choose from, times powers of 10.
