@@ -31,6 +31,7 @@ from .model.walls import (
 from .observers import Observer, PhaseObserver
 from .options.validation import ConfigError
 from .plot.picture import Picture, film, picture
+from .plot.polydata import polydata
 from .replays.record import Record
 from .replays.replay import Replay, replay
 from .run.config import configure
@@ -145,6 +146,7 @@ __all__ = [
     "mass_matrix",
     "patch_test",
     "picture",
+    "polydata",
     "potential_energy",
     "preset",
     "radial",

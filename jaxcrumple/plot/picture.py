@@ -85,7 +85,7 @@ def picture(
     **Raises:** ValueError for an unknown field, a frame that the run does not have, a `view` along `up`, or a
     width that is not a positive length.
     """
-    number, wide = _number(run, frame), None if width is None else _width(width)
+    number, wide = frame_number(run, frame), None if width is None else _width(width)
     if pixels is None:
         pixels = PIXELS if wide is None else round(PRINT_PIXELS * wide / INCH)
     look = _look(run, [number], field, walls, view, up, pixels)
@@ -120,7 +120,7 @@ def film(
     kind = path.suffix.lower()
     if kind not in FILMS:
         raise ValueError(f"{path.name!r} is no film: end its name in .gif or .mp4.")
-    chosen = [_number(run, frame) for frame in (range(len(run.t)) if frames is None else frames)]
+    chosen = [frame_number(run, frame) for frame in (range(len(run.t)) if frames is None else frames)]
     look = _look(run, chosen, field, walls, view, up, pixels)
     images = (_pixels_of(_drawn(run, frame, look, about(run, t=run.t[frame]))) for frame in chosen)
     write_bytes(path, _gif(images, rate) if kind == ".gif" else _mp4(images, rate))
@@ -138,7 +138,7 @@ def _width(width: float | str) -> float:
     return wide
 
 
-def _number(run: Run, frame: int) -> int:
+def frame_number(run: Run, frame: int) -> int:
     """Return the index of a frame from 0 on."""
     if not -len(run.t) <= frame < len(run.t):
         raise ValueError(f"frame {frame} does not exist: the run has {len(run.t)} frames.")
