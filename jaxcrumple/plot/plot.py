@@ -32,6 +32,8 @@ from jaxcrumple.state import STAGES
 
 PALE = LinearSegmentedColormap.from_list("pale", ["#7fb2dc", "#f7f7f7", "#efa184"])  # lines stay visible
 MOUNTAIN, VALLEY = "#8e0012", "#0a2a6b"
+# Part of each edge that is drawn of a valley, so that it differs from a mountain without colours too.
+DASH = 0.55
 STAGE_COLORS = {"quasistatic": "#1f6fb4", "implicit": "#e8a33d", "explicit": "#d9541e"}
 ENERGY_COLORS = {
     "stretch": "#1f6fb4",
@@ -70,11 +72,13 @@ def plot_creases(
     draw_flat(axes, mesh, scale, curvature)
     pattern, lengths = crease_pattern(mesh, p, threshold), mountain_valley_length(mesh, p, threshold)
     handles = []
-    kinds = (("mountain", 1, MOUNTAIN), ("valley", -1, VALLEY))
-    for (name, sign, color), length in zip(kinds, lengths, strict=True):
-        lines = list(flat[mesh.hinges[pattern == sign, :2]])
+    kinds = (("mountain", 1, MOUNTAIN, 1.0, "-"), ("valley", -1, VALLEY, DASH, "--"))
+    for (name, sign, color, part, style), length in zip(kinds, lengths, strict=True):
+        ends = flat[mesh.hinges[pattern == sign, :2]]
+        middle = ends.mean(axis=1, keepdims=True)
+        lines = list(middle + part * (ends - middle))
         axes.add_collection(LineCollection(lines, colors=color, linewidths=0.9, capstyle="round"))
-        handles.append(Line2D([], [], color=color, label=f"{name}, {1e2 * length:.3g} cm"))
+        handles.append(Line2D([], [], color=color, linestyle=style, label=f"{name}, {1e2 * length:.3g} cm"))
     figure.legend(
         handles=handles,
         loc="outside lower center",

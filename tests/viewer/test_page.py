@@ -147,6 +147,57 @@ def test_a_point_is_marked_in_both_views(opened):
     assert opened.ask("page.panels[0].marked") is None
 
 
+def test_keys_mark_a_point_of_the_pattern(opened):
+    opened.ask("page.goTo(0.1)")
+    opened.tab.locator(".pattern").focus()
+    place = "page.panels[0].flat.marker.position.toArray()"
+    opened.tab.keyboard.press("ArrowRight")
+    middle, half = opened.ask("page.panels[0].flat.middle"), opened.ask("page.panels[0].flat.half")
+    assert opened.ask(place)[:2] == pytest.approx(middle, abs=1e-6)
+    for key in ("ArrowRight", "ArrowRight", "ArrowUp", "ArrowLeft"):
+        opened.tab.keyboard.press(key)
+    moved = np.array(opened.ask(place)[:2]) - middle
+    np.testing.assert_allclose(moved, half / 20, atol=1e-6)
+    status = opened.tab.locator(".status")
+    assert "here" in status.inner_text() and status.get_attribute("aria-live") == "polite"
+    assert opened.ask("page.t") == pytest.approx(0.1)
+    # The mark stays on the sheet.
+    for _ in range(25):
+        opened.tab.keyboard.press("ArrowUp")
+    assert opened.ask("page.panels[0].marked") is not None
+    opened.tab.keyboard.press("Escape")
+    assert opened.ask("page.panels[0].marked") is None
+    opened.ask("document.activeElement.blur()")
+
+
+def test_valleys_are_dashes(opened):
+    run = folding_run()
+    ends = run.mesh.vertices[run.mesh.hinges[:, :2]][..., :2]
+    for part in (1.0, 0.5):
+        found = np.array(opened.ask(f"Array.from(page.panels[0].surface.hingeLines({part}))")).reshape(
+            -1, 2, 3
+        )
+        middle = ends.mean(axis=1, keepdims=True)
+        np.testing.assert_allclose(found[..., :2], middle + part * (ends - middle), atol=1e-8)
+    shown = opened.ask(
+        "(page.goTo(0.3), page.panels[0].lines.map(l => [l.sign, l.geometry.drawRange.count]))"
+    )
+    assert sorted(shown) == [[-1, 0], [1, 2]]
+
+
+def test_fit_shows_a_wall_around_the_sheet_whole(opened):
+    opened.tab.locator("#walls").set_checked(True)
+    opened.ask("page.goTo(0.3)")
+    opened.look()
+    around, reach = opened.ask("[page.panels[0].around, page.panels[0].reach]")
+    radius = opened.ask("page.panels[0].walls.children[0].scale.x")
+    apart = opened.ask("page.panels[0].walls.children[0].position.distanceTo(page.panels[0].middle)")
+    shown = opened.ask("page.panels[0].space.camera.top")
+    assert around == pytest.approx(radius + apart if radius + apart < 1.6 * reach else reach)
+    assert shown >= 1.08 * around * (1 - 1e-6)
+    opened.tab.locator("#walls").set_checked(False)
+
+
 def test_drag_turns_and_reset_returns(opened):
     before = opened.ask("page.panels[0].space.camera.position.toArray()")
     box = opened.tab.locator(".space").bounding_box()

@@ -14,7 +14,7 @@ function section(about, number) {
   element.innerHTML = `<h2></h2><p class="about"></p>
     <div class="views">
       <div class="view space" tabindex="0" role="group"><span class="bar"></span></div>
-      <div class="view pattern" role="img"><span class="caption">red: mountain, blue: valley</span><span class="bar"></span></div>
+      <div class="view pattern" tabindex="0" role="application"><span class="caption">mountains: lines, valleys: dashes</span><span class="bar"></span></div>
     </div>
     <p class="status" id="status-${number}"></p>
     <svg class="chart" role="img" aria-describedby="status-${number}"></svg>`;
@@ -22,7 +22,7 @@ function section(about, number) {
   element.querySelector("h2").textContent = about.name;
   element.querySelector(".about").textContent = `${about.about}; ${frames} frames; ${about.result}`;
   element.querySelector(".space").setAttribute("aria-label", `Sheet of ${about.name} in space; drag to turn, or Shift and arrow keys; scroll to zoom`);
-  element.querySelector(".pattern").setAttribute("aria-label", `Crease pattern of ${about.name} on the flat sheet`);
+  element.querySelector(".pattern").setAttribute("aria-label", `Crease pattern of ${about.name} on the flat sheet; arrow keys move a mark, Escape removes it`);
   element.querySelector(".chart").setAttribute("aria-label", `Energies of ${about.name} over time; click to go to a time`);
   $("runs").append(element);
   return element;
@@ -85,6 +85,7 @@ class Page {
     // Keys that the focused control needs itself, and those that turn the sheet.
     const own = event.target.closest("select") || (" Enter".includes(event.key) && event.target.closest("button, input[type=checkbox]"));
     if (own || event.ctrlKey || event.metaKey || event.altKey || event.shiftKey) return;
+    if (this._nudge(event)) return event.preventDefault();
     const frame = (event.key === "ArrowRight" || event.key === ".") - (event.key === "ArrowLeft" || event.key === ",");
     if (event.key === " ") this.play(!this.playing);
     else if (event.key.toLowerCase() === "r") $("home").click();
@@ -93,6 +94,18 @@ class Page {
     else if (frame) this.step(frame);
     else return;
     event.preventDefault();
+  }
+
+  // Move the mark of a crease pattern that has the focus, and let its value be read out.
+  _nudge(event) {
+    const panel = this.panels.find(({ flat }) => flat.element === event.target);
+    if (!panel) return false;
+    const right = (event.key === "ArrowRight") - (event.key === "ArrowLeft"), up = (event.key === "ArrowUp") - (event.key === "ArrowDown");
+    if (!right && !up && event.key !== "Escape") return false;
+    panel.status.setAttribute("aria-live", "polite");
+    if (event.key === "Escape") panel.point(null);
+    else panel.nudge(right, up);
+    return true;
   }
 
   // Go to the next frame of any run, or to the one before.
@@ -136,6 +149,7 @@ class Page {
 
   play(on) {
     this.playing = on;
+    for (const panel of this.panels) panel.status.setAttribute("aria-live", "off");
     $("play").textContent = on ? "Pause" : "Play";
     cancelAnimationFrame(this.advancing);
     if (!on) return;

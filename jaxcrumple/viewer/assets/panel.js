@@ -1,7 +1,11 @@
 "use strict";
 // The two views of a run: the sheet in space, and its crease pattern on the flat sheet.
 
-const MOUNTAIN = 0xb3001b, VALLEY = 0x1f5fd0, WALL = 0x4a76a8;
+const LINE = 0x101418, WALL = 0x4a76a8;
+// Part of a hinge that is drawn for each sign of a crease: mountains are whole lines, valleys dashed.
+const DRAWN = [[1, 1], [-1, 0.5]];
+// A wall around the sheet is shown whole if it extends at most this many times as far.
+const AROUND = 1.6;
 const UP = new THREE.Vector3(0, 0, 1), VIEW = new THREE.Vector3(-0.45, -0.8, 0.55).normalize();
 
 function sheetMaterial() {
@@ -38,6 +42,8 @@ function wallMesh(wall, size) {
       mesh.scale.setScalar(wall.kind === "Sphere" ? value : wall.radius);
       if (wall.kind === "Ball") mesh.position.copy(center).addScaledVector(axis, value);
     };
+    // Largest distance from a point.
+    mesh.bound = (point) => mesh.position.distanceTo(point) + mesh.scale.x;
   } else if (wall.kind === "Cylinder") {
     mesh = new THREE.Mesh(new THREE.CylinderGeometry(1, 1, 1, 96, 1, true), material);
     mesh.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), axis);
@@ -113,17 +119,14 @@ class Panel {
     const { surface } = this, { faces, rest } = surface;
     const corners = new Float32Array(3 * faces.length);
     faces.forEach((node, corner) => { corners[3 * corner] = rest[2 * node]; corners[3 * corner + 1] = rest[2 * node + 1]; });
-    const material = new THREE.MeshBasicMaterial({ vertexColors: true, side: THREE.DoubleSide, transparent: true, opacity: 0.55 });
+    const material = new THREE.MeshBasicMaterial({ vertexColors: true, side: THREE.DoubleSide });
     this.flat.mesh = new THREE.Mesh(this._geometry(new THREE.BufferAttribute(corners, 3)), material);
     this.flat.scene.add(this.flat.mesh);
-    const points = new Float32Array(3 * surface.nodes);
-    for (let node = 0; node < surface.nodes; node++) { points[3 * node] = rest[2 * node]; points[3 * node + 1] = rest[2 * node + 1]; points[3 * node + 2] = 1e-3; }
-    const ends = new THREE.BufferAttribute(points, 3);
-    this.lines = [[1, MOUNTAIN], [-1, VALLEY]].map(([sign, color]) => {
+    this.lines = DRAWN.map(([sign, part]) => {
       const geometry = new THREE.BufferGeometry();
-      geometry.setAttribute("position", ends);
+      geometry.setAttribute("position", new THREE.BufferAttribute(surface.hingeLines(part), 3));
       geometry.setIndex(new THREE.BufferAttribute(new Uint32Array(Math.max(surface.hinges.length, 2)), 1).setUsage(THREE.DynamicDrawUsage));
-      const lines = new THREE.LineSegments(geometry, new THREE.LineBasicMaterial({ color }));
+      const lines = new THREE.LineSegments(geometry, new THREE.LineBasicMaterial({ color: LINE }));
       lines.frustumCulled = false;
       lines.sign = sign;
       this.flat.scene.add(lines);
@@ -191,6 +194,7 @@ class Panel {
     }
     const reach = surface.reach, next = Math.min(frame + 1, reach.length - 1);
     this.reach = reach[frame] + share * (reach[next] - reach[frame]);
+    this.around = Math.max(this.reach, ...this.walls.children.map((wall) => (wall.bound ? wall.bound(this.middle) : 0)).filter((far) => far < AROUND * this.reach));
     if (this.marked) this.point(this.marked);
   }
 
@@ -199,20 +203,26 @@ class Panel {
     for (const view of [this.space, this.flat]) {
       const box = view.element.getBoundingClientRect();
       if (box.bottom < 0 || box.top > height || box.width < 2 || box.height < 2) continue;
-      const { camera } = view, ratio = box.width / box.height;
-      const half = view === this.flat ? view.half : this.fits ? 1.08 * this.reach : 1.08 * Math.max(...this.surface.reach);
-      const [x, y] = view === this.space ? [0, 0] : view.middle;
-      camera.left = x - half * Math.max(ratio, 1);
-      camera.right = x + half * Math.max(ratio, 1);
-      camera.top = y + half * Math.max(1 / ratio, 1);
-      camera.bottom = y - half * Math.max(1 / ratio, 1);
-      camera.updateProjectionMatrix();
+      const { camera } = view;
+      this._frame(view, box.width / box.height);
       if (view === this.space) this._light(camera);
       renderer.setViewport(box.left, height - box.bottom, box.width, box.height);
       renderer.setScissor(box.left, height - box.bottom, box.width, box.height);
       renderer.render(view.scene, camera);
       this._bar(view, (camera.right - camera.left) / camera.zoom / box.width);
     }
+  }
+
+  // Set the extent of a view of this ratio of width to height.
+  _frame(view, ratio) {
+    const { camera } = view;
+    const half = view === this.flat ? view.half : this.fits ? 1.08 * (this.walls.visible ? this.around : this.reach) : 1.08 * Math.max(...this.surface.reach);
+    const [x, y] = view === this.space ? [0, 0] : view.middle;
+    camera.left = x - half * Math.max(ratio, 1);
+    camera.right = x + half * Math.max(ratio, 1);
+    camera.top = y + half * Math.max(1 / ratio, 1);
+    camera.bottom = y - half * Math.max(1 / ratio, 1);
+    camera.updateProjectionMatrix();
   }
 
   _light(camera) {
@@ -233,11 +243,24 @@ class Panel {
   _hover(view, event) {
     if (event.buttons) return;
     const box = view.element.getBoundingClientRect();
-    const place = new THREE.Vector2((2 * (event.clientX - box.left)) / box.width - 1, 1 - (2 * (event.clientY - box.top)) / box.height);
+    this._pick(view, new THREE.Vector2((2 * (event.clientX - box.left)) / box.width - 1, 1 - (2 * (event.clientY - box.top)) / box.height));
+  }
+
+  // Mark the point of the sheet at a place of a view, from -1 to 1 across and up.
+  _pick(view, place) {
     const ray = new THREE.Raycaster();
     ray.setFromCamera(place, view.camera);
     const [hit] = ray.intersectObject(view.mesh);
     this.point(hit ? { face: hit.faceIndex, weights: hit.barycoord ? hit.barycoord.toArray() : [1 / 3, 1 / 3, 1 / 3] } : null);
+  }
+
+  // Move the mark on the flat sheet by steps of a fortieth of its width, from its middle on.
+  nudge(right, up) {
+    const { camera, marker, half, middle } = this.flat, before = this.marked, by = half / 20;
+    const [x, y] = before ? [marker.position.x + right * by, marker.position.y + up * by] : middle;
+    this._pick(this.flat, new THREE.Vector2((2 * (x - camera.left)) / (camera.right - camera.left) - 1, (2 * (y - camera.bottom)) / (camera.top - camera.bottom) - 1));
+    // Not beyond the edge.
+    if (!this.marked) this.point(before);
   }
 
   // Mark a point of the sheet in both views; null: none.

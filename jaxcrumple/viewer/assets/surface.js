@@ -154,14 +154,24 @@ class Surface {
     return { value: low + ((high - low) * level) / 255, beyond: level > 254.5 || (signed && level < 0.5) };
   }
 
-  // Ends of the hinges whose crease has this sign in the current frame.
+  // Points of the middle part of each hinge on the flat sheet, slightly above it; part: from 0 to 1.
+  hingeLines(part) {
+    const { hinges, rest } = this, points = new Float32Array(3 * hinges.length), mine = 0.5 * (1 + part), its = 0.5 * (1 - part);
+    for (let end = 0; end < hinges.length; end++) {
+      const node = 2 * hinges[end], other = 2 * hinges[end ^ 1];
+      points.set([mine * rest[node] + its * rest[other], mine * rest[node + 1] + its * rest[other + 1], 1e-3], 3 * end);
+    }
+    return points;
+  }
+
+  // Indices of the `hingeLines` whose crease has this sign in the current frame.
   creased(sign, out) {
     const count = this.hinges.length / 2, from = count * this.frame;
     let length = 0;
     for (let hinge = 0; hinge < count; hinge++) {
       if (this.creases[from + hinge] === sign) {
-        out[length++] = this.hinges[2 * hinge];
-        out[length++] = this.hinges[2 * hinge + 1];
+        out[length++] = 2 * hinge;
+        out[length++] = 2 * hinge + 1;
       }
     }
     return length;
