@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -72,7 +73,10 @@ def plot_creases(
     draw_flat(axes, mesh, scale, curvature)
     pattern, lengths = crease_pattern(mesh, p, threshold), mountain_valley_length(mesh, p, threshold)
     handles = []
-    kinds = (("mountain", 1, MOUNTAIN, 1.0, "-"), ("valley", -1, VALLEY, DASH, "--"))
+    kinds: tuple[tuple[str, int, str, float, Any], ...] = (
+        ("mountain", 1, MOUNTAIN, 1.0, "-"),
+        ("valley", -1, VALLEY, DASH, "--"),
+    )
     for (name, sign, color, part, style), length in zip(kinds, lengths, strict=True):
         ends = flat[mesh.hinges[pattern == sign, :2]]
         middle = ends.mean(axis=1, keepdims=True)

@@ -91,8 +91,10 @@ def _crossed(
     for start in range(0, count, PART):
         # The last part repeats its last ray.
         own = np.minimum(np.arange(start, start + PART), count - 1)
-        rays = (as_float(values[own]) for values in (origins, directions, first, last))
-        found.append(_surfaces(wall, as_float(t), *rays))
+        # In double precision, as the walls, whatever a notebook has set.
+        with jax.enable_x64(True):
+            rays = (as_float(values[own]) for values in (origins, directions, first, last))
+            found.append(_surfaces(wall, as_float(t), *rays))
     distances, facings = (np.concatenate(parts, axis=1)[:, :count] for parts in zip(*found, strict=True))
     return distances, facings
 

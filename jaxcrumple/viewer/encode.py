@@ -10,6 +10,7 @@ import gzip
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float, Shaped, UInt
 
@@ -164,7 +165,8 @@ def _wall(shape: AbstractShape, times: Float[np.ndarray, " frames"]) -> Json | N
     for name in ("half_angle", "edge", "radius"):
         if hasattr(shape, name) and name != moving:
             found[name] = float(getattr(shape, name))
-    found["moves"] = [float(getattr(shape, moving)(float(t))) for t in times]
+    with jax.enable_x64(True):
+        found["moves"] = [float(getattr(shape, moving)(float(t))) for t in times]
     return found
 
 

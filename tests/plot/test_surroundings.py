@@ -1,5 +1,6 @@
 """Pictures show the walls that a run had."""
 
+import warnings
 from dataclasses import replace
 
 import jax
@@ -10,7 +11,9 @@ from folding import folding_run
 
 from jaxcrumple import configure
 from jaxcrumple.plot.surroundings import wall_shapes
+from jaxcrumple.plot.wall_layers import surface_points
 from jaxcrumple.scenes.catalogue import SCENES
+from jaxcrumple.viewer.encode import encode, shared_fields
 
 
 @pytest.mark.parametrize("scene", sorted(SCENES))
@@ -35,5 +38,9 @@ def test_a_run_of_another_scene_or_version_has_none():
 def test_single_precision_draws_walls_too():
     """A notebook that only draws has not set double precision."""
     run = folding_run()
-    with jax.enable_x64(False):
-        assert len(wall_shapes(run)) == 1
+    with jax.enable_x64(False), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        (shape,) = wall_shapes(run)
+        points = surface_points([shape], 0.0, np.zeros(3), 0.1)
+        assert encode(run, "a", shared_fields([run]), 0)[0]["walls"][0]["moves"][0] == pytest.approx(0.071)
+    np.testing.assert_allclose(np.linalg.norm(points, axis=1), 0.071, rtol=1e-9)

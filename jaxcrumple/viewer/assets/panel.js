@@ -145,7 +145,7 @@ class Panel {
 
   _addMarkers() {
     for (const view of [this.space, this.flat]) {
-      view.marker = new THREE.Mesh(new THREE.SphereGeometry(0.007 * this.size, 16, 12), new THREE.MeshBasicMaterial({ color: 0x00a36c, depthTest: false, transparent: true }));
+      view.marker = new THREE.Mesh(new THREE.SphereGeometry(1, 16, 12), new THREE.MeshBasicMaterial({ color: 0x00a36c, depthTest: false, transparent: true }));
       view.marker.renderOrder = 2;
       view.marker.visible = false;
       view.scene.add(view.marker);
@@ -223,6 +223,7 @@ class Panel {
     camera.top = y + half * Math.max(1 / ratio, 1);
     camera.bottom = y - half * Math.max(1 / ratio, 1);
     camera.updateProjectionMatrix();
+    view.marker.scale.setScalar((0.016 * half) / camera.zoom);
   }
 
   _light(camera) {
