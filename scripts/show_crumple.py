@@ -14,7 +14,7 @@ import jaxcrumple as jc
 from jaxcrumple.measure import mean_curvature
 from jaxcrumple.plot.figure import new_figure, save_figure
 from jaxcrumple.plot.plot import draw_flat
-from jaxcrumple.plot.sheet import PAPER, color_scale, draw_sheet
+from jaxcrumple.plot.sheet import CURVATURE_LABEL, PAPER, color_scale, draw_sheet
 
 
 def main() -> None:
@@ -29,14 +29,17 @@ def main() -> None:
     run = jc.load(asked.folder)
     times = asked.times or run.t[-1] * np.array([0.5, 0.75, 1.0])
     frames = [int(np.argmin(np.abs(run.t - t))) for t in times]
-    figure = new_figure((3.6 * len(frames), 6.4), "")
-    for column, frame in enumerate(frames):
+    figure = new_figure((3.6 * len(frames) + 0.8, 6.4), "")
+    curvature = [mean_curvature(run.mesh, run.x[frame]) for frame in frames]
+    scale, maps = color_scale(np.concatenate(curvature), signed=True), []
+    for column, (frame, values) in enumerate(zip(frames, curvature, strict=True)):
         space = figure.add_subplot(2, len(frames), column + 1)
         draw_sheet(space, run.mesh, run.x[frame], PAPER, pixels=700)
         flat = figure.add_subplot(2, len(frames), len(frames) + column + 1, aspect="equal")
         flat.set_axis_off()
-        values = mean_curvature(run.mesh, run.x[frame])
-        draw_flat(flat, run.mesh, color_scale(values, signed=True), values)
+        draw_flat(flat, run.mesh, scale, values)
+        maps.append(flat)
+    figure.colorbar(scale, ax=maps, label=CURVATURE_LABEL, extend="both", shrink=0.8)
     print(save_figure(figure, asked.out))
 
 
