@@ -1,9 +1,7 @@
 """End the command with one line that explains its end, and an exit code."""
 
 import errno
-import importlib.metadata
 import os
-import platform
 import shlex
 import signal
 import sys
@@ -187,7 +185,7 @@ def explained(error: BaseException) -> tuple[str, int]:
         return f"error: not enough memory on {jax.devices()[0].platform}{_more(error)}; {LESS}", ENDED
     return (
         f"error: this is a bug of jaxcrumple, or of a library that it uses: {type(error).__name__}: {error}. "
-        f"Please report it with the lines above, the command, and the versions: {_versions()}",
+        f"Please report it with the lines above, the command, and what `{command('report')}` prints.",
         BUG,
     )
 
@@ -244,11 +242,6 @@ def _place(error: BaseException) -> str:
     frames = traceback.extract_tb(error.__traceback__)
     ours = [frame for frame in frames if "jaxcrumple" in Path(frame.filename).parts] or frames
     return f"{Path(ours[-1].filename).name}, line {ours[-1].lineno}" if ours else "an unknown place"
-
-
-def _versions() -> str:
-    versions = [f"{name} {importlib.metadata.version(name)}" for name in ("jaxcrumple", "jax", "numpy")]
-    return ", ".join([*versions, f"Python {platform.python_version()}"])
 
 
 def _complain(text: str, style: str | None = "red", lines: bool = False) -> None:
