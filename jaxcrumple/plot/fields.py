@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import json
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -17,6 +19,7 @@ from jaxcrumple.measure.density import face_edges
 from jaxcrumple.options.suggest import nearest
 from jaxcrumple.plot.sheet import CURVATURE_LABEL
 from jaxcrumple.run.config import RunConfig
+from jaxcrumple.scene import Scene
 from jaxcrumple.scenes.catalogue import SCENES
 from jaxcrumple.solvers.contact.reallocate import with_contacts
 
@@ -24,12 +27,14 @@ Values = Float[np.ndarray, " ..."]
 
 
 class FieldKind(NamedTuple):
-    """Describe a field: its `label` with unit, whether its colours are symmetric about 0 (`signed`), and its
-    values per node (n,) or triangle (f,) at a frame of a run, by index."""
+    """Describe a field: its `label` with unit, whether its colours are symmetric about 0 (`signed`), its
+    values per node (n,) or triangle (f,) at a frame of a run, by index, and, if its colours are logarithmic,
+    over how many `decades`."""
 
     label: str
     signed: bool
     values: Callable[[Run, int], Values]
+    decades: float | None = None
 
 
 def _curvature(run: Run, frame: int) -> Values:
@@ -51,7 +56,7 @@ def _contact(run: Run, frame: int) -> Values:
     if run.config.get("scene") not in SCENES:
         raise ValueError("the contact force needs a run of a named scene; choose another field.")
     with jax.enable_x64(True):
-        x, scene = jnp.asarray(run.x[frame]), RunConfig(**run.config).build().scene
+        x, scene = jnp.asarray(run.x[frame]), _scene(json.dumps(run.config))
         contact = scene.contact
         if contact is None:
             return np.zeros(run.mesh.n_nodes)
@@ -60,12 +65,18 @@ def _contact(run: Run, frame: int) -> Values:
     return 1e-3 * push / run.mesh.node_area
 
 
+@functools.lru_cache(maxsize=1)
+def _scene(config: str) -> Scene:
+    """Return the scene of a configuration as JSON, which all frames of a film share."""
+    return RunConfig(**json.loads(config)).build().scene
+
+
 # The first one is the default. "paper" shows the shape alone.
 FIELDS: dict[str, FieldKind | None] = {
     "curvature": FieldKind(CURVATURE_LABEL, True, _curvature),
     "damage": FieldKind("largest change of rest curvature $|p - p_{rest}|$ [-]", False, _damage),
     "strain": FieldKind("largest edge strain [%]", True, _strain),
-    "contact": FieldKind("contact force per area [kPa]", False, _contact),
+    "contact": FieldKind("contact force per area [kPa]", False, _contact, decades=3.0),
     "paper": None,
 }
 

@@ -161,7 +161,8 @@ def _look(
     if kind is None:
         return _Look("", {}, shapes, pixels, camera, None)
     values = {frame: kind.values(run, frame) for frame in frames}
-    scale = color_scale(np.concatenate([values[frame] for frame in frames]), signed=kind.signed)
+    shown = np.concatenate([values[frame] for frame in frames])
+    scale = color_scale(shown, signed=kind.signed, decades=kind.decades)
     return _Look(kind.label, values, shapes, pixels, camera, scale)
 
 

@@ -13,7 +13,7 @@ from jaxtyping import ArrayLike, Float, Real
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import Normalize, to_rgb
+from matplotlib.colors import Normalize, SymLogNorm, to_rgb
 from matplotlib.figure import Figure
 
 from jaxcrumple._jax.arrays import NodeVectorsLike
@@ -153,10 +153,18 @@ def camera_of(
     return camera_for(np.concatenate([x, points]), view, up)
 
 
-def color_scale(values: Float[np.ndarray, " ..."], *, signed: bool) -> ScalarMappable:
-    """Return a colour scale: symmetric about 0 if `signed`, else from low to high; outliers saturate."""
-    finite = values[np.isfinite(values)]
-    if signed:
+def color_scale(
+    values: Float[np.ndarray, " ..."], *, signed: bool, decades: float | None = None
+) -> ScalarMappable:
+    """Return a colour scale: symmetric about 0 if `signed`, else from low to high; outliers saturate.
+
+    With `decades`, it goes from 0 on and is logarithmic over so many decades below its end.
+    """
+    finite, norm = values[np.isfinite(values)], Normalize()
+    if decades is not None:
+        high = float(finite.max(initial=0.0)) or 1.0
+        norm, colors = SymLogNorm(high / 10.0**decades, vmin=0.0, vmax=high), "viridis"
+    elif signed:
         limit = float(np.quantile(np.abs(finite), ROBUST)) if len(finite) else 0.0
         norm, colors = Normalize(-(limit or 1.0), limit or 1.0), DIVERGING
     else:

@@ -254,3 +254,12 @@ def test_wrong_input_is_refused(tmp_path, mesh, bent):
     with pytest.raises(RunDirectoryError, match="cannot write"):
         plot_sheet(mesh, bent, pixels=50, path=tmp_path / "nowhere" / "a.png")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_logarithmic_scale_begins_at_zero():
+    scale = color_scale(np.array([0.0, 5.0, 2000.0]), signed=False, decades=3.0)
+    below, above = scale.norm([0.0, 2.0]), scale.norm([2.0, 20.0, 200.0, 2000.0])
+    assert below[0] == 0 and above[-1] == 1
+    # A decade takes the same share of the colours everywhere above the linear part.
+    assert above[3] - above[2] == pytest.approx(above[2] - above[1], rel=0.02)
+    assert color_scale(np.zeros(3), signed=False, decades=3.0).get_clim() == (0.0, 1.0)
