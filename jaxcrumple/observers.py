@@ -44,7 +44,7 @@ def tell_phase(observers: Sequence[Observer], phase: Phase) -> None:
 def tell_rows(
     observers: Sequence[Observer],
     state: State,
-    rows: Sequence[Float[np.ndarray, "rows columns"]],
+    rows: Sequence[Float[np.ndarray, "_ columns"]],
     frames: int,
 ) -> None:
     """Tell all observers the new rows of the log and the number of frames so far."""

@@ -10,7 +10,7 @@ from jaxcrumple.run.config import RunConfig, configure
 
 # Name, scene, end times in s for a laptop and at the paper's size (None: the scene's), settings.
 CASES = {
-    "radial": ("radial", (4.0, THIN_END), THIN),
+    "radial": ("radial", (4.5, THIN_END), THIN),
     "cylindrical": ("cylindrical", (None, None), {}),
     "stamping": ("stamping", (None, None), {}),
     "conical, low": ("conical", (None, None), {"pull": 0.025}),
