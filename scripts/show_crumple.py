@@ -31,7 +31,7 @@ def main() -> None:
     frames = [int(np.argmin(np.abs(run.t - t))) for t in times]
     figure = new_figure((3.6 * len(frames) + 0.8, 6.4), "")
     curvature = [mean_curvature(run.mesh, run.x[frame]) for frame in frames]
-    scale, maps = color_scale(np.concatenate(curvature), signed=True), []
+    scale, maps = color_scale(*curvature, signed=True), []
     for column, (frame, values) in enumerate(zip(frames, curvature, strict=True)):
         space = figure.add_subplot(2, len(frames), column + 1)
         draw_sheet(space, run.mesh, run.x[frame], PAPER, pixels=700)

@@ -174,7 +174,7 @@ def explained(error: BaseException) -> tuple[str, int]:
             return f"error: a number is too large or too small to compute with {what}; {cure}", REFUSED
         case OSError() if error.strerror:
             return f"error: {_file(error)}{error.strerror}; {_cure(error)}", REFUSED
-        case ValueError() if _is_ours(error):
+        case ValueError() | ImportError() if _is_ours(error):
             return f"error: {error}", REFUSED
     # Everything above explains errors before JAX is imported.
     import jax
@@ -225,9 +225,9 @@ def _cure(error: OSError) -> str:
     return cures.get(error.errno or 0, "check the path and the disk; what was saved before is intact")
 
 
-def _is_ours(error: ValueError) -> bool:
-    """Return whether this package raised a ValueError, i.e. a refusal with cause and cure. A ValueError of
-    another package is a bug: this package should have refused the input."""
+def _is_ours(error: ValueError | ImportError) -> bool:
+    """Return whether this package raised an error, i.e. a refusal with cause and cure. One of another package
+    is a bug: this package should have refused the input."""
     return type(error).__module__.startswith("jaxcrumple") or _raiser(error).startswith("jaxcrumple")
 
 

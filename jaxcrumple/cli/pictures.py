@@ -28,6 +28,10 @@ def plot(
     ] = None,
 ) -> None:
     """Draw the pictures of a run again, and write its frames for ParaView; or draw one picture or a film."""
+    given = {"--field": field != "curvature", "--frame": frame != -1, "--view": view, "--no-walls": not walls}
+    given["--width"] = width
+    if out is None and (alone := [name for name, value in given.items() if value]):
+        raise ValueError(f"{' and '.join(alone)} need --out, the file of one picture or film.")
     for picture in _all(folder) if out is None else [_one(folder, out, field, frame, view, walls, width)]:
         say(str(picture))
 

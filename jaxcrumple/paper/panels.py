@@ -39,7 +39,7 @@ def moments(run: Run, frames: Sequence[int]) -> list[Moment]:
 def plot_moments(shown: Sequence[Moment], caption: str, path: Path) -> Path:
     """Plot one column for each moment: the sheet in space, and its mean curvature on the flat sheet."""
     curvature = [mean_curvature(one.run.mesh, one.run.x[one.frame]) for one in shown]
-    scale = color_scale(np.concatenate(curvature), signed=True)
+    scale = color_scale(*curvature, signed=True)
     figure = new_figure((2.6 * len(shown) + 0.8, 5.4), caption)
     runs = {id(one.run): one.run for one in shown}
     shapes = {key: wall_shapes(run) for key, run in runs.items()}

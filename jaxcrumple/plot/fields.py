@@ -11,13 +11,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from matplotlib.cm import ScalarMappable
 
 from jaxcrumple.contact.energy import force
 from jaxcrumple.io.run import Run
-from jaxcrumple.measure import edge_strain, mean_curvature, node_damage
+from jaxcrumple.measure import DAMAGE, edge_strain, mean_curvature, node_damage
 from jaxcrumple.measure.density import face_edges
 from jaxcrumple.options.suggest import nearest
-from jaxcrumple.plot.sheet import CURVATURE_LABEL
+from jaxcrumple.plot.sheet import CURVATURE_LABEL, color_scale
 from jaxcrumple.run.config import RunConfig
 from jaxcrumple.scene import Scene
 from jaxcrumple.scenes.catalogue import SCENES
@@ -28,13 +29,18 @@ Values = Float[np.ndarray, " ..."]
 
 class FieldKind(NamedTuple):
     """Describe a field: its `label` with unit, whether its colours are symmetric about 0 (`signed`), its
-    values per node (n,) or triangle (f,) at a frame of a run, by index, and, if its colours are logarithmic,
-    over how many `decades`."""
+    values per node (n,) or triangle (f,) at a frame of a run, by index, over how many `decades` its colours
+    are logarithmic, if they are, and the `least` end of its scale."""
 
     label: str
     signed: bool
     values: Callable[[Run, int], Values]
     decades: float | None = None
+    least: float = 0.0
+
+    def scale(self, *frames: Values) -> ScalarMappable:
+        """Return the colour scale of its values in some frames."""
+        return color_scale(*frames, signed=self.signed, decades=self.decades, least=self.least)
 
 
 def _curvature(run: Run, frame: int) -> Values:
@@ -73,9 +79,11 @@ def _scene(config: str) -> Scene:
 
 # The first one is the default. "paper" shows the shape alone.
 FIELDS: dict[str, FieldKind | None] = {
-    "curvature": FieldKind(CURVATURE_LABEL, True, _curvature),
-    "damage": FieldKind("largest change of rest curvature $|p - p_{rest}|$ [-]", False, _damage),
-    "strain": FieldKind("largest edge strain [%]", True, _strain),
+    "curvature": FieldKind(CURVATURE_LABEL, True, _curvature, least=1.0),
+    "damage": FieldKind(
+        "damage: largest change of $p = 2 \\sin(\\theta_{rest} / 2)$ [-]", False, _damage, least=DAMAGE
+    ),
+    "strain": FieldKind("largest edge strain [%]", True, _strain, least=1e-3),
     "contact": FieldKind("contact force per area [kPa]", False, _contact, decades=3.0),
     "paper": None,
 }

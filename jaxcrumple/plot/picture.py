@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import io
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,7 +24,7 @@ from jaxcrumple.plot.camera import UP, VIEW, Camera
 from jaxcrumple.plot.fields import Values, field_kind
 from jaxcrumple.plot.figure import DPI, INCH, PRINT_DPI, encoded, fit_to_print, save_figure
 from jaxcrumple.plot.plot import about
-from jaxcrumple.plot.sheet import PAPER, PIXELS, Walls, camera_of, color_scale, sheet_figure
+from jaxcrumple.plot.sheet import PAPER, PIXELS, Walls, camera_of, sheet_figure
 from jaxcrumple.plot.surroundings import wall_shapes
 
 # Frames per second of a film, longer side of its sheet in pixels, and its dots per inch.
@@ -120,6 +121,8 @@ def film(
     kind = path.suffix.lower()
     if kind not in FILMS:
         raise ValueError(f"{path.name!r} is no film: end its name in .gif or .mp4.")
+    if kind == ".mp4" and importlib.util.find_spec("av") is None:
+        raise ImportError("an MP4 needs PyAV (pip install av); or write a .gif.")
     chosen = [frame_number(run, frame) for frame in (range(len(run.t)) if frames is None else frames)]
     look = _look(run, chosen, field, walls, view, up, pixels)
     images = (_pixels_of(_drawn(run, frame, look, about(run, t=run.t[frame]))) for frame in chosen)
@@ -161,8 +164,7 @@ def _look(
     if kind is None:
         return _Look("", {}, shapes, pixels, camera, None)
     values = {frame: kind.values(run, frame) for frame in frames}
-    shown = np.concatenate([values[frame] for frame in frames])
-    scale = color_scale(shown, signed=kind.signed, decades=kind.decades)
+    scale = kind.scale(*(values[frame] for frame in frames))
     return _Look(kind.label, values, shapes, pixels, camera, scale)
 
 
@@ -203,10 +205,8 @@ def _gif(images: Iterator[np.ndarray], rate: float) -> bytes:
 
 def _mp4(images: Iterator[np.ndarray], rate: float) -> bytes:
     """Encode images (rows, columns, 3) as MP4 (H.264)."""
-    try:
-        import av
-    except ImportError as error:
-        raise ImportError("an MP4 needs PyAV: pip install 'jaxcrumple[film]', or write a .gif.") from error
+    import av
+
     buffer = io.BytesIO()
     with av.open(buffer, "w", format="mp4") as container:
         stream = container.add_stream("libx264", rate=Fraction(rate).limit_denominator(1000))

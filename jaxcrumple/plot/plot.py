@@ -88,7 +88,7 @@ def plot_creases(
         loc="outside lower center",
         ncols=2,
         frameon=False,
-        title=f"edges with $|\\Delta p| > {threshold:g}$",
+        title=f"edges with $|\\Delta p| > {threshold:g}$, $p = 2 \\sin(\\theta_{{rest}} / 2)$",
     )
     figure.colorbar(scale, ax=axes, label=CURVATURE_LABEL, extend="both")
     axes.autoscale_view()

@@ -29,7 +29,7 @@ def polydata(
     try:
         import pyvista
     except ImportError as error:
-        raise ImportError("this needs PyVista: pip install 'jaxcrumple[view]'.") from error
+        raise ImportError("this needs PyVista (pip install pyvista).") from error
     number, faces = frame_number(run, frame), run.mesh.faces
     kinds = {name: field_kind(name) for name in fields}
     sheet = pyvista.PolyData.from_regular_faces(np.array(run.x[number]), np.array(faces))

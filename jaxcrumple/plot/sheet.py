@@ -154,24 +154,27 @@ def camera_of(
 
 
 def color_scale(
-    values: Float[np.ndarray, " ..."], *, signed: bool, decades: float | None = None
+    *frames: Float[np.ndarray, " ..."], signed: bool, decades: float | None = None, least: float = 0.0
 ) -> ScalarMappable:
-    """Return a colour scale: symmetric about 0 if `signed`, else from low to high; outliers saturate.
+    """Return a colour scale that spans the values of one frame, or of the frame with the largest ones.
 
-    With `decades`, it goes from 0 on and is logarithmic over so many decades below its end.
+    It is symmetric about 0 if `signed`, else from low to high; outliers of each frame saturate. With
+    `decades`, it begins at 0 and is logarithmic over so many decades below its end. Its end is at least
+    `least`, so that rounding errors get no colours.
     """
-    finite, norm = values[np.isfinite(values)], Normalize()
+    finite = [values[np.isfinite(values)] for values in frames]
+    ends = [np.quantile(np.abs(values) if signed else values, ROBUST) for values in finite if len(values)]
+    high, norm = max([least, *map(float, ends)]), Normalize()
     if decades is not None:
-        high = float(finite.max(initial=0.0)) or 1.0
+        high = max([least, *(float(values.max(initial=0.0)) for values in finite)]) or 1.0
         norm, colors = SymLogNorm(high / 10.0**decades, vmin=0.0, vmax=high), "viridis"
     elif signed:
-        limit = float(np.quantile(np.abs(finite), ROBUST)) if len(finite) else 0.0
-        norm, colors = Normalize(-(limit or 1.0), limit or 1.0), DIVERGING
+        norm, colors = Normalize(-(high or 1.0), high or 1.0), DIVERGING
     else:
-        low, high = np.quantile(finite, [1 - ROBUST, ROBUST]) if len(finite) else (0.0, 1.0)
-        norm, colors = Normalize(float(low), float(high) if high > low else float(low) + 1.0), "viridis"
+        low = min((float(np.quantile(values, 1 - ROBUST)) for values in finite if len(values)), default=0.0)
+        norm, colors = Normalize(low, high if high > low else low + 1.0), "viridis"
     scale = ScalarMappable(norm, colors)
-    scale.set_array(values)
+    scale.set_array(np.concatenate([values.ravel() for values in frames]))
     return scale
 
 

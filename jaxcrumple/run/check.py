@@ -1,5 +1,7 @@
 """Describe and check a run before it starts."""
 
+import numpy as np
+
 from jaxcrumple._jax.memory import gigabytes, memory_limit
 from jaxcrumple.mesh.isotropy import patch_test
 from jaxcrumple.run.balance import Balance, start_balance
@@ -32,6 +34,7 @@ def described(config: RunConfig) -> list[str]:
         f"walls: {'; '.join(walls) or 'none'}",
         f"contact: {contact}",
         f"material: {_material(config)}",
+        *_fall(config),
         f"solver: {solver.scheme}, rtol {solver.rtol:g}",
         f"until: t = {config.t_end:g} s, in {config.frames} frames",
         *folds(config, nodes),
@@ -64,6 +67,15 @@ def _material(config: RunConfig) -> str:
         f"{name}{made_of.young_modulus * 1e-9:.4g} GPa, {made_of.density:g} kg/m3, "
         f"{made_of.thickness * 1e3:.4g} mm thick, {yields}"
     )
+
+
+def _fall(config: RunConfig) -> list[str]:
+    """Say how fast a free sheet falls: drag often limits it to less than one expects."""
+    gravity, made_of = config.options.get("gravity"), config.material
+    if made_of is None or not made_of.drag_rate or not gravity or not np.any(gravity):
+        return []
+    speed = float(np.linalg.norm(gravity)) / made_of.drag_rate
+    return [f"drag: {made_of.drag_rate:g} 1/s, so a free sheet falls at {speed * 1e3:.2g} mm/s at most"]
 
 
 def _taken(config: RunConfig, nodes: int) -> str:

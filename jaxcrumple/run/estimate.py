@@ -15,6 +15,9 @@ from jaxcrumple.scenes.functions import is_function
 # Time in s of a step with inertia at n = 1000, and its power law in n ("Steps": 9 to 14 ms; more with
 # contact). All costs below are in units of this time.
 STEP, SIZE, POWER = 0.02, 1000, 1.23
+# Least time in s of a step, most of it overhead (n = 300: 9 ms), and steps that a run may take however short
+# it is.
+LEAST_STEP, LEAST_STEPS = 0.009, 2000.0
 # Smallest and largest number of steps per second of simulated time; explicit steps count by their cost.
 # Source: `radial`, phantom sheet to R = 3.4 cm: 21 and 139 s for 3.7 s at n = 1000 and 3000.
 PHANTOM = (250.0, 700.0)
@@ -49,9 +52,9 @@ def estimate(config: RunConfig, nodes: int) -> Estimate:
     unknown = is_function(config.scene) and "contact" not in config.options
     touching = unknown or config.options.get("contact") is not None
     rate = SCENE_STEPS.get(config.scene, CONTACT if touching else PHANTOM)
-    step = STEP * (nodes / SIZE) ** POWER * SCHEMES.get(config.solver.scheme, 1.0)
+    step = max(STEP * (nodes / SIZE) ** POWER, LEAST_STEP) * SCHEMES.get(config.solver.scheme, 1.0)
     step *= (config.solver.rtol / TOLERANCE) ** TOLERANCE_POWER
-    least, most = (steps * config.t_end * step for steps in rate)
+    least, most = rate[0] * config.t_end * step, max(rate[1] * config.t_end, LEAST_STEPS) * step
     compiling = COMPILE_CONTACT if touching else COMPILE
     return Estimate((least, most), compiling, run_bytes(nodes, config.frames, touching))
 

@@ -28,7 +28,7 @@ from jaxcrumple.solvers.log import STEP
 # Fields of a page: those that need no contact lists. Labels are plain text there.
 SHOWN = {
     "curvature": "mean curvature [1/m]",
-    "damage": "largest change of rest curvature",
+    "damage": "damage: change of 2 sin(rest angle / 2)",
     "strain": "largest edge strain [%]",
 }
 # Largest value of positions and of fields.
@@ -97,7 +97,7 @@ def _shared(runs: Sequence[Run], name: str) -> SharedField:
         np.stack([_on_nodes(run.mesh, kind.values(run, frame)) for frame in range(len(run.t))])
         for run in runs
     ]
-    low, high = color_scale(np.concatenate([one.ravel() for one in values]), signed=kind.signed).get_clim()
+    low, high = kind.scale(*(frame for one in values for frame in one)).get_clim()
     return SharedField(values, low, high, kind.signed)
 
 

@@ -323,3 +323,5 @@ def test_a_page_and_a_picture_are_written(in_process, refused, copy, tmp_path):
     code, _ = in_process("plot", copy, "--out", target, "--field", "paper", "--view", "1,0,0.5")
     assert code == 0 and target.read_bytes()[1:4] == b"PNG"
     assert "must be three numbers" in refused("plot", copy, "--out", target, "--view", "1,0")
+    assert "must be a positive length" in refused("plot", copy, "--out", target, "--width", "86 kg")
+    assert "--field and --width need --out" in refused("plot", copy, "--field", "damage", "--width", "86 mm")

@@ -3,7 +3,7 @@
 import jax
 import numpy
 
-from jaxcrumple.run.glossary import GLOSSARY
+from jaxcrumple.run.glossary import GLOSSARY, OTHER
 from jaxcrumple.state import CAUSES, RESULTS, STAGES
 
 
@@ -16,6 +16,12 @@ def test_every_word_is_explained(in_process):
     assert code == 0 and streams.out.startswith("blocked: A result: even the shortest step")
     code, streams = in_process("explain")
     assert code == 0 and [line.split(":")[0] for line in streams.out.splitlines()] == list(GLOSSARY)
+
+
+def test_other_forms_of_words(in_process):
+    for other, word in OTHER.items():
+        code, streams = in_process("explain", other)
+        assert code == 0 and GLOSSARY[word] in streams.out
 
 
 def test_an_unknown_word(refused):

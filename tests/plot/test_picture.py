@@ -81,6 +81,13 @@ def test_mp4(run, tmp_path):
         assert float(video.streams.video[0].average_rate) == 10
 
 
+def test_an_mp4_without_its_extra_is_refused_before_drawing(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(picture_module.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(picture_module, "sheet_figure", None)
+    with pytest.raises(ImportError, match="pip install av"):
+        film(run, tmp_path / "a.mp4")
+
+
 def test_wrong_input_is_refused(run, tmp_path):
     with pytest.raises(ValueError, match="field 'curvatur' is unknown; did you mean 'curvature'"):
         picture(run, field="curvatur")

@@ -256,6 +256,18 @@ def test_wrong_input_is_refused(tmp_path, mesh, bent):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_scale_of_frames_is_that_of_the_largest_one():
+    """Most frames of a run are flat; over all their values the largest 2 % may be rounding errors."""
+    rng = np.random.default_rng(0)
+    frames = [1e-17 * rng.random(500) for _ in range(60)]
+    frames[-1][:40] = np.linspace(0.1, 0.5, 40)
+    expected = np.quantile(frames[-1], 0.98)
+    assert color_scale(*frames, signed=False).get_clim()[1] == pytest.approx(expected)
+    assert color_scale(*frames, signed=True).get_clim() == pytest.approx((-expected, expected))
+    # Rounding errors alone get no colours.
+    assert color_scale(*frames[:-1], signed=False, least=0.05).get_clim()[1] == 0.05
+
+
 def test_a_logarithmic_scale_begins_at_zero():
     scale = color_scale(np.array([0.0, 5.0, 2000.0]), signed=False, decades=3.0)
     below, above = scale.norm([0.0, 2.0]), scale.norm([2.0, 20.0, 200.0, 2000.0])

@@ -215,6 +215,7 @@ def test_estimates_of_what_was_measured():
         (configure("radial", t_end=3.7, settings=["contact=none"]), 1000, 21),
         (configure("radial", t_end=3.7, settings=["contact=none"]), 3000, 139),
         (configure("radial", t_end=4.5), 3000, 17.6 * 60),
+        (configure("radial", t_end=3.0, settings=["rtol=3e-2", "thickness=0.1mm"]), 500, 16),
         (configure("cap"), 500, 0.9),
         (configure("stamping"), 1000, 3.1 * 60),
         (configure("shell"), 1000, 4.7 * 60),

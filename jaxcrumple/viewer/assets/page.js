@@ -8,6 +8,11 @@ function tell(text) {
   $("message").hidden = false;
 }
 
+// Two significant digits, without an exponent where it can be.
+function short(value) {
+  return String(+value.toPrecision(2));
+}
+
 function section(about, number) {
   const element = document.createElement("section");
   element.className = "run";
@@ -35,7 +40,8 @@ class Page {
     this.field = "curvature";
     this.end = Math.max(...about.runs.flatMap((run) => [...run.t.slice(-1), ...run.history.t.slice(-1)])) || 1;
     this.renderer = new THREE.WebGLRenderer({ canvas: $("canvas"), antialias: true });
-    this.renderer.setClearColor(0xffffff);
+    // A sheet without curvature is white.
+    this.renderer.setClearColor(0xeef1f4);
     this.renderer.setScissorTest(true);
     this.renderer.toneMapping = THREE.NoToneMapping;
     this.redraw = () => { this.pending ??= requestAnimationFrame(() => { this.pending = null; this.draw(); }); };
@@ -60,7 +66,7 @@ class Page {
     const where = share > 0 && share < 1 ? `between frames ${frame} and ${frame + 1}` : `frame ${frame + Math.round(share)} of ${last}`;
     text = [this.t > surface.times[last] ? `ended, ${where}` : where, text].filter(Boolean).join(": ");
     const found = marked && surface.valueAt(this.field, marked.face, marked.weights);
-    if (found) text += `; here ${found.beyond ? "beyond " : ""}${found.value.toPrecision(2)} (${surface.about.fields[this.field].label})`;
+    if (found) text += `; here ${found.beyond ? "beyond " : ""}${short(found.value)} (${surface.about.fields[this.field].label})`;
     panel.status.textContent = text;
   }
 
@@ -142,9 +148,9 @@ class Page {
     const context = $("colours").getContext("2d"), image = context.createImageData(256, 1);
     for (let k = 0; k < 256; k++) image.data.set([table[3 * k], table[3 * k + 1], table[3 * k + 2], 255], 4 * k);
     context.putImageData(image, 0, 0);
-    $("low").textContent = low.toPrecision(2);
-    $("high").textContent = high.toPrecision(2);
-    $("scale").setAttribute("aria-label", `Colours from ${low.toPrecision(2)} to ${high.toPrecision(2)}: ${label}`);
+    $("low").textContent = short(low);
+    $("high").textContent = short(high);
+    $("scale").setAttribute("aria-label", `Colours from ${short(low)} to ${short(high)}: ${label}`);
   }
 
   play(on) {
