@@ -45,7 +45,7 @@ def plot_moments(shown: Sequence[Moment], caption: str, path: Path) -> Path:
     shapes = {key: wall_shapes(run) for key, run in runs.items()}
     maps = []
     for column, (one, values) in enumerate(zip(shown, curvature, strict=True), 1):
-        space = figure.add_subplot(2, len(shown), column, title=one.title)
+        space = figure.add_subplot(2, len(shown), column, title=one.title, anchor="N")
         walls = Walls(shapes[id(one.run)], float(one.run.t[one.frame]))
         draw_sheet(space, one.run.mesh, one.run.x[one.frame], scale, values, walls=walls, pixels=PANEL)
         flat = figure.add_subplot(2, len(shown), len(shown) + column, aspect="equal", xticks=[], yticks=[])

@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike, Float, Real
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import Normalize, SymLogNorm, to_rgb
+from matplotlib.colors import Colormap, ListedColormap, Normalize, SymLogNorm, to_rgb
 from matplotlib.figure import Figure
 
 from jaxcrumple._jax.arrays import NodeVectorsLike
@@ -26,8 +27,10 @@ from jaxcrumple.plot.figure import new_figure, save_figure
 from jaxcrumple.plot.light import LAMP, linear, srgb
 from jaxcrumple.plot.normals import face_normals
 
-CURVATURE_LABEL = "mean curvature $H$ [1/m]"
+CURVATURE_LABEL = "mean curvature $H$ [1/m]\n> 0: convex on the light side"
 DIVERGING = "RdBu_r"  # red: convex as seen from the side of the face normals
+# For values of which 0 means nothing there.
+FROM_NOTHING = ListedColormap([(0.82, 0.82, 0.82), *colormaps["viridis"].colors], "from-nothing")  # type: ignore[attr-defined]
 # The largest curvatures occur at single sharp hinges; colours span the values of this share of the nodes.
 ROBUST = 0.98
 # Colour of a sheet without values, and longer side of a picture in pixels.
@@ -162,12 +165,13 @@ def color_scale(
     `decades`, it begins at 0 and is logarithmic over so many decades below its end. Its end is at least
     `least`, so that rounding errors get no colours.
     """
+    colors: Colormap | str
     finite = [values[np.isfinite(values)] for values in frames]
     ends = [np.quantile(np.abs(values) if signed else values, ROBUST) for values in finite if len(values)]
     high, norm = max([least, *map(float, ends)]), Normalize()
     if decades is not None:
         high = max([least, *(float(values.max(initial=0.0)) for values in finite)]) or 1.0
-        norm, colors = SymLogNorm(high / 10.0**decades, vmin=0.0, vmax=high), "viridis"
+        norm, colors = SymLogNorm(high / 10.0**decades, vmin=0.0, vmax=high), FROM_NOTHING
     elif signed:
         norm, colors = Normalize(-(high or 1.0), high or 1.0), DIVERGING
     else:

@@ -21,7 +21,7 @@ PART = 1 << 15
 # Steps of Newton's method from there.
 REFINED = 2
 # Directions in which a camera looks for walls.
-DIRECTIONS = 500
+DIRECTIONS = 20_000
 # Opacity of a wall that faces the camera, and what a grazing view adds to it; its colour in linear RGB.
 FACING, GRAZING, SHARPNESS = 0.03, 0.45, 3.0
 COLOR = (0.16, 0.27, 0.42)
@@ -45,9 +45,9 @@ def surface_points(
     points = []
     for wall in walls:
         first, last = np.zeros(len(ways)), np.full(len(ways), radius)
-        distance = _crossed(wall, t, origins, ways, first, last)[0][0]
-        found = np.isfinite(distance)
-        points.append(origins[found] + distance[found, None] * ways[found])
+        for distance in _crossed(wall, t, origins, ways, first, last)[0]:
+            found = np.isfinite(distance)
+            points.append(origins[found] + distance[found, None] * ways[found])
     return np.concatenate(points)
 
 

@@ -215,7 +215,7 @@ def test_plot(tmp_path, mesh, bent, kept_figures):
     assert colors(path) > 100
     axes, bar = figures[0].axes
     assert figures[0].get_suptitle() == "n = 300, rtol = 1e-4"
-    assert bar.get_ylabel() == "mean curvature $H$ [1/m]"
+    assert bar.get_ylabel() == sheet_module.CURVATURE_LABEL
     camera = camera_of(bent)
     assert np.ptp(axes.get_xlim()) == pytest.approx(1e3 * camera.width)
     assert axes.get_aspect() == 1.0

@@ -1,7 +1,7 @@
 "use strict";
 // The two views of a run: the sheet in space, and its crease pattern on the flat sheet.
 
-const LINE = 0x101418, WALL = 0x4a76a8;
+const LINE = 0x101418, MARK = 0x00a36c, WALL = 0x4a76a8;
 // Part of a hinge that is drawn for each sign of a crease: mountains are whole lines, valleys dashed.
 const DRAWN = [[1, 1], [-1, 0.5]];
 // A wall around the sheet is shown whole if it extends at most this many times as far.
@@ -145,7 +145,10 @@ class Panel {
 
   _addMarkers() {
     for (const view of [this.space, this.flat]) {
-      view.marker = new THREE.Mesh(new THREE.SphereGeometry(1, 16, 12), new THREE.MeshBasicMaterial({ color: 0x00a36c, depthTest: false, transparent: true }));
+      // Faint where layers hide it.
+      const ball = new THREE.SphereGeometry(1, 16, 12), look = { color: MARK, transparent: true };
+      view.marker = new THREE.Mesh(ball, new THREE.MeshBasicMaterial(look));
+      view.marker.add(new THREE.Mesh(ball, new THREE.MeshBasicMaterial({ ...look, depthTest: false, opacity: 0.35 })));
       view.marker.renderOrder = 2;
       view.marker.visible = false;
       view.scene.add(view.marker);
