@@ -111,7 +111,8 @@ def test_a_bug_is_said_to_be_one_and_keeps_its_traceback(ended, program, last):
     assert code == 70
     first, *_, end = text.splitlines()
     assert first == "Traceback (most recent call last):"
-    assert end.startswith("error: this is a bug of jaxcrumple") and last in end and "jax 0." in end
+    assert end.startswith("error: this is a bug of jaxcrumple") and last in end
+    assert "what `jaxcrumple report` prints" in end
 
 
 def test_exit_codes_are_kept(ended):
