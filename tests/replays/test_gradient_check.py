@@ -5,8 +5,9 @@ from gradient_check import KINDS, checks, measure, recorded_window
 
 from jaxcrumple.state import STAGES
 
-# What a difference may be off by: relatively, and over the measure, for a replay solves its steps to 1e-12.
-RELATIVE, RESOLVED = 1e-5, 1e-12
+# What a difference may be off by: relatively, and over the measure. A replay solves its steps to 1e-12; a
+# snap and contact amplify this.
+RELATIVE, RESOLVED = 1e-5, 1e-9
 
 
 @pytest.mark.slow
@@ -28,4 +29,4 @@ def test_gradients_are_those_of_the_replay_by_every_kind_of_number():
         assert line.forward < 1e-8, line
         assert line.difference * size < max(RELATIVE * size, RESOLVED * value), line
         # What next to nothing depends on is the exception.
-        assert size > 1e-5 * value or line.kind == "internal damping", line
+        assert size > 1e-5 * value or line.kind == "plastic time", line
