@@ -167,10 +167,14 @@ def color_scale(
     """
     colors: Colormap | str
     finite = [values[np.isfinite(values)] for values in frames]
-    ends = [np.quantile(np.abs(values) if signed else values, ROBUST) for values in finite if len(values)]
-    high, norm = max([least, *map(float, ends)]), Normalize()
+    norm = Normalize()
+    if decades is None:
+        ends = [np.quantile(np.abs(values) if signed else values, ROBUST) for values in finite if len(values)]
+    else:
+        ends = [values.max(initial=0.0) for values in finite]
+    high = max([least, *map(float, ends)])
     if decades is not None:
-        high = max([least, *(float(values.max(initial=0.0)) for values in finite)]) or 1.0
+        high = high or 1.0
         norm, colors = SymLogNorm(high / 10.0**decades, vmin=0.0, vmax=high), FROM_NOTHING
     elif signed:
         norm, colors = Normalize(-(high or 1.0), high or 1.0), DIVERGING

@@ -59,10 +59,8 @@ def wall_gap(wall: Wall, x: NodeVectors, t: Scalar) -> NodeValues:
 
 def _check_walls(scene: Scene, state: State) -> None:
     for index, wall in enumerate(scene.walls):
-        gap, name = (
-            np.asarray(wall_gap(wall, state.x, state.t)),
-            f"wall {index} ({type(wall.shape).__name__})",
-        )
+        name = f"wall {index} ({type(wall.shape).__name__})"
+        gap = np.asarray(wall_gap(wall, state.x, state.t))
         if np.any(np.isnan(gap)):
             node = int(np.argmax(np.isnan(gap)))
             raise ValueError(

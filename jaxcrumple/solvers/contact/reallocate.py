@@ -70,9 +70,8 @@ class Reallocation:
         """
         listing, lists = state.listing, _lists(scene)
         assert listing is not None
-        needed = np.asarray(listing.needed)
-        if needed.any():
-            lists = self.grown(lists, needed)
+        if self.overflows(state):
+            lists = self.grown(lists, np.asarray(listing.needed))
             # The programs with the old capacities take as much memory as the new ones, and can be read again.
             forget_programs()
         if bool(listing.stale) or _places_of(lists) < self.places:
