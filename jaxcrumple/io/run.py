@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -14,6 +14,10 @@ from jaxcrumple._jax.memory import FRAME, require
 from jaxcrumple.io.atomic import RunDirectoryError
 from jaxcrumple.io.rundir import RunDirectory
 from jaxcrumple.mesh.mesh import Mesh
+
+if TYPE_CHECKING:
+    from jaxcrumple.scene import Scene
+    from jaxcrumple.simulation import Solution
 
 # Maximum number of attempts to read a folder that changes during the read.
 TRIES = 10
@@ -36,9 +40,39 @@ class Run:
     summary: dict[str, Any]  # final result; empty if the run is in progress or was killed
     history: pd.DataFrame  # one row per logged step, columns `jaxcrumple.solvers.log.COLUMNS`
     events: pd.DataFrame  # changes of stage
+    scene: Scene | None = None  # scene of a run in memory; `config` tells that of a folder
+
+    @classmethod
+    def from_solution(cls, mesh: Mesh, scene: Scene, solution: Solution) -> Run:
+        """Return what `simulate` returned as a run, for pictures, films and pages.
+
+        **Arguments:** the `mesh` and the `scene` that the solution belongs to.
+
+        **Raises:** ValueError if the solution has no frames, or frames of another mesh.
+        """
+        if len(solution.t) == 0:
+            raise ValueError("the solution has no frames: its run ended before the first time asked for.")
+        if solution.x.shape[1] != mesh.n_nodes:
+            raise ValueError(
+                f"the solution has {solution.x.shape[1]} nodes and the mesh {mesh.n_nodes}: "
+                "give the mesh of its scene."
+            )
+        elastic = np.broadcast_to(mesh.rest_curvature, (len(solution.t), len(mesh.hinges)))
+        return cls(
+            t=solution.t,
+            x=solution.x,
+            v=solution.v,
+            p=elastic if solution.p is None else solution.p,
+            mesh=mesh,
+            config={},
+            summary={"result": solution.result},
+            history=solution.history,
+            events=solution.events,
+            scene=scene,
+        )
 
     def __repr__(self) -> str:
-        scene, result = self.config.get("scene"), self.summary.get("result", "unfinished")
+        scene, result = self.config.get("scene", "in memory"), self.summary.get("result", "unfinished")
         shown = f"{len(self.t)} frames to t = {self.t[-1]:.4g} s" if len(self.t) else "no frames"
         return f"Run({scene}, n = {self.mesh.n_nodes}, {shown}, {result})"
 

@@ -59,10 +59,10 @@ def _strain(run: Run, frame: int) -> Values:
 
 def _contact(run: Run, frame: int) -> Values:
     """Return the contact force on each node, in its area, in kPa."""
-    if run.config.get("scene") not in SCENES:
+    if run.scene is None and run.config.get("scene") not in SCENES:
         raise ValueError("the contact force needs a run of a named scene; choose another field.")
     with jax.enable_x64(True):
-        x, scene = jnp.asarray(run.x[frame]), _scene(json.dumps(run.config))
+        x, scene = jnp.asarray(run.x[frame]), run.scene or _scene(json.dumps(run.config))
         contact = scene.contact
         if contact is None:
             return np.zeros(run.mesh.n_nodes)

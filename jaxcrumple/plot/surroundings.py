@@ -17,6 +17,8 @@ QUICK = {"contact": None, "contact_range": None, "contact_level": None, "sweeps"
 
 def wall_shapes(run: Run) -> Sequence[AbstractShape]:
     """Return the walls of a run; none for a scene that its options do not tell."""
+    if run.scene is not None:
+        return [wall.shape for wall in run.scene.walls]
     if run.config.get("scene") not in SCENES:
         return ()
     try:

@@ -1,15 +1,23 @@
 """Pictures and films of a run show what was asked for, with one camera and one scale."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from folding import folding_run
 from matplotlib.text import Text
 from PIL import Image
 
+from jaxcrumple.io.run import Run
 from jaxcrumple.measure import edge_strain
+from jaxcrumple.mesh.generate import rectangle
 from jaxcrumple.plot import picture as picture_module
 from jaxcrumple.plot.fields import FIELDS
 from jaxcrumple.plot.picture import film, picture
+from jaxcrumple.plot.surroundings import wall_shapes
+from jaxcrumple.run.config import RunConfig
+from jaxcrumple.simulation import Solution
+from jaxcrumple.state import initial_state
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +62,23 @@ def test_contact_force_of_two_layers(run):
     pressed = FIELDS["contact"].values(run, 3)
     away = np.abs(run.mesh.vertices[:, 1]) > 0.02
     assert flat.max() == 0 and np.median(pressed[away]) > 0
+
+
+def test_a_solution_in_memory_is_drawn_as_its_run(run):
+    """Walls and contact come from the scene; without plastic flow the rest curvature is that of the mesh."""
+    scene = RunConfig(**run.config).build().scene
+    state = initial_state(scene, run.x[0])
+    solution = Solution(
+        state, "success", "", run.t, run.x, run.v, None, run.history, run.events, compile_s=0.0, run_s=0.0
+    )
+    own = Run.from_solution(run.mesh, scene, solution)
+    assert np.array_equal(FIELDS["contact"].values(own, 3), FIELDS["contact"].values(run, 3))
+    assert [type(shape) for shape in wall_shapes(own)] == [type(shape) for shape in wall_shapes(run)]
+    assert FIELDS["damage"].values(own, 3).max() == 0
+    with pytest.raises(ValueError, match="give the mesh of its scene"):
+        Run.from_solution(rectangle(0.1, 0.1, 30, sweeps=0), scene, solution)
+    with pytest.raises(ValueError, match="has no frames"):
+        Run.from_solution(run.mesh, scene, replace(solution, t=run.t[:0], x=run.x[:0], v=run.v[:0]))
 
 
 def test_a_film_has_one_camera_and_one_scale(run, tmp_path, monkeypatch):
