@@ -6,8 +6,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-# Pages whose code runs from top to bottom; that of `using.md` needs a run, and takes minutes.
-PAGES = [ROOT / "docs" / name for name in ("contact.md", "extending.md")]
+# Pages whose code runs from top to bottom.
+PAGES = [page for page in sorted((ROOT / "docs").glob("*.md")) if "```python" in page.read_text()]
+# Pages that compile for a minute and more.
+LONG = ("README", "derivatives", "sweeps")
 LINK = re.compile(r"\]\((?P<target>[^)#]+)[^)]*\)")
 BLOCK = re.compile(r"```python\n(?P<code>.*?)```(?:\n\n```text\n(?P<output>.*?)```)?", re.DOTALL)
 NUMBER = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
@@ -25,7 +27,11 @@ def test_the_readme_is_short():
     assert len((ROOT / "README.md").read_text().split()) < 700
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def _case(page: Path):
+    return pytest.param(page, marks=pytest.mark.slow if page.stem in LONG else (), id=page.stem)
+
+
+@pytest.mark.parametrize("page", [_case(page) for page in (*PAGES, ROOT / "README.md")])
 def test_a_page_runs_from_top_to_bottom(page, capsys):
     names = {"__name__": page.stem}
     blocks = list(BLOCK.finditer(page.read_text()))

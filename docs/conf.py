@@ -1,0 +1,53 @@
+"""Settings of Sphinx. `python -m sphinx -W -c docs . docs/_build` writes the documentation.
+
+The source folder is that of the repository, so that links between pages, notebooks and files at the top hold
+both here and where the repository is browsed.
+"""
+
+import importlib.metadata
+
+project = "jaxcrumple"
+author = "The jaxcrumple developers"
+copyright = f"2026, {author}"
+release = version = importlib.metadata.version("jaxcrumple")
+
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.viewcode",
+    "sphinx_copybutton",
+    "sphinx_design",
+]
+root_doc = "docs/index"
+include_patterns = [
+    "docs/*.md",
+    "docs/api/*.md",
+    "docs/gallery/*",
+    "notebooks/*.ipynb",
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
+    "CODE_OF_CONDUCT.md",
+]
+
+# Pages are Markdown. Scripts of the gallery and notebooks are pages too, with the pictures and the outputs that
+# are stored with them: nothing runs while the pages are built.
+myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
+myst_heading_anchors = 3
+nb_execution_mode = "off"
+nb_custom_formats = {".py": ["jupytext.reads", {"fmt": "py:percent"}]}
+
+# A name in single backticks in a docstring is a link where it is one of ours.
+default_role = "py:obj"
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+python_use_unqualified_type_names = True
+
+html_theme = "pydata_sphinx_theme"
+html_title = f"jaxcrumple {release}"
+html_theme_options = {
+    "show_toc_level": 2,
+    "navigation_with_keys": True,
+    "secondary_sidebar_items": ["page-toc"],
+    "footer_start": ["copyright"],
+    "footer_end": [],
+}
