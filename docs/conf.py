@@ -29,7 +29,7 @@ include_patterns = [
     "CODE_OF_CONDUCT.md",
 ]
 
-# Pages are Markdown. Scripts of the gallery and notebooks are pages too, with the pictures and the outputs that
+# Pages are Markdown. Scripts of the gallery and notebooks are pages too, with pictures and outputs that
 # are stored with them: nothing runs while the pages are built.
 myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
 myst_heading_anchors = 3

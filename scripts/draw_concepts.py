@@ -37,15 +37,14 @@ def sheet() -> None:
     x, y = 1e3 * mesh.vertices[:, :2].T
     axes.triplot(x, y, mesh.faces, color="#777777", linewidth=0.8)
     axes.plot(x, y, "o", color="#444444", markersize=3)
-    middle = mesh.vertices[mesh.hinges[:, :2]].mean(axis=1) - mesh.vertices.mean(axis=0)
-    hinge = mesh.hinges[np.argmin(np.linalg.norm(middle, axis=1))]
-    a, b, c, d = hinge
+    offset = mesh.vertices[mesh.hinges[:, :2]].mean(axis=1) - mesh.vertices.mean(axis=0)
+    a, b, c, d = mesh.hinges[np.argmin(np.linalg.norm(offset, axis=1))]
     for corners in ([a, b, c], [a, b, d]):
         axes.fill(x[corners], y[corners], color="#e8a33d", alpha=0.5)
     axes.plot(x[[a, b]], y[[a, b]], color="#d9541e", linewidth=3)
-    axes.annotate(
-        "hinge", (x[[a, b]].mean(), y[[a, b]].mean()), (12, 12), textcoords="offset points", weight="bold"
-    )
+    middle = (x[[a, b]].mean(), y[[a, b]].mean())
+    box = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
+    axes.annotate("hinge", middle, (14, 12), textcoords="offset points", weight="bold", bbox=box)
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
     save(figure, "sheet")
 
@@ -92,7 +91,10 @@ def hinge_cycle() -> None:
     figure, axes = plain()
     axes.plot(c, c - p, color="#1f4e79")
     axes.axhline(0.0, color="#bbbbbb", linewidth=0.8)
-    axes.set(xlabel="curvature c of the hinge [-]", ylabel="c - p, as the moment [-]")
+    kept = p[len(time) // 2]
+    axes.plot(kept, 0.0, "o", color="#d9541e")
+    axes.annotate("released: the crease", (kept, 0.0), (-128, 6), textcoords="offset points", color="#d9541e")
+    axes.set(xlabel="curvature c of the hinge [-]", ylabel="c - p, proportional to the moment [-]")
     save(figure, "yield")
 
 

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+import write_pages
 
 ROOT = Path(__file__).parents[1]
 # Pages whose code runs from top to bottom.
@@ -16,10 +17,15 @@ NUMBER = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
 
 
 def test_links_lead_somewhere():
-    for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
+    for page in (*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")):
         for link in LINK.finditer(page.read_text()):
             if "://" not in link["target"]:
                 assert (page.parent / link["target"]).exists(), (page.name, link["target"])
+
+
+def test_pages_are_those_of_the_results():
+    """`poe pages` writes them."""
+    assert write_pages.PAGE.read_text() == write_pages.page()
 
 
 def test_the_readme_is_short():
