@@ -8,6 +8,7 @@ from jaxcrumple.run.balance import Balance, start_balance
 from jaxcrumple.run.config import RunConfig
 from jaxcrumple.run.estimate import estimate, file_mesh, require_config
 from jaxcrumple.run.locking import folds
+from jaxcrumple.run.pace import duration
 from jaxcrumple.scenes.functions import scene_entry
 from jaxcrumple.state import initial_state
 
@@ -80,22 +81,10 @@ def _fall(config: RunConfig) -> list[str]:
 
 def _taken(config: RunConfig, nodes: int) -> str:
     guess = estimate(config, nodes)
-    run = " to ".join(_duration(seconds) for seconds in guess.run)
+    run = " to ".join(duration(seconds) for seconds in guess.run)
     compiling = " to ".join(f"{seconds:.0f}" for seconds in guess.compiling)
     memory = " to ".join(f"{size * 1e-9:.2g}" for size in guess.memory)
     return (
         f"about {run} on one core, compiling {compiling} s, {memory} GB of the {gigabytes(memory_limit())} "
         "here (rough)"
     )
-
-
-def _duration(seconds: float) -> str:
-    for size, name in ((86400.0, "days"), (3600.0, "hours"), (60.0, "minutes")):
-        if seconds >= 2 * size:
-            return f"{rounded(seconds / size)} {name}"
-    return f"{rounded(seconds)} s"
-
-
-def rounded(value: float) -> str:
-    """Format with two significant digits, without an exponent."""
-    return f"{float(f'{value:.2g}'):.10g}"

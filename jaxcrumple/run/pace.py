@@ -32,7 +32,13 @@ class Pace:
 
 
 def duration(seconds: float) -> str:
-    """Format a wall time: "40 s", "12 min" or "3.4 h"."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+    """Format a wall time with two significant digits: "40 s", "12 min", "3.4 h" or "2.5 days"."""
+    for size, name in ((86400.0, "days"), (3600.0, "h"), (60.0, "min")):
+        if seconds >= 2 * size:
+            return f"{_rounded(seconds / size)} {name}"
+    return f"{_rounded(seconds)} s"
+
+
+def _rounded(value: float) -> str:
+    """Format with two significant digits, without an exponent."""
+    return f"{float(f'{value:.2g}'):.10g}"

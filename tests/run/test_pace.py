@@ -41,7 +41,14 @@ def test_nothing_is_told_before_the_run_has_moved():
 
 @pytest.mark.parametrize(
     ("seconds", "text"),
-    [(40.4, "40 s"), (89.0, "89 s"), (95.0, "2 min"), (4000.0, "67 min"), (12240.0, "3.4 h")],
+    [
+        (40.4, "40 s"),
+        (89.0, "89 s"),
+        (130.0, "2.2 min"),
+        (4000.0, "67 min"),
+        (12240.0, "3.4 h"),
+        (2e5, "2.3 days"),
+    ],
 )
 def test_durations(seconds, text):
     assert duration(seconds) == text
