@@ -1,7 +1,6 @@
 """Draw the pictures of the page on concepts, docs/images/concept_*.jpg."""
 
 import argparse
-import tempfile
 from pathlib import Path
 
 import jax
@@ -49,10 +48,11 @@ def sheet() -> None:
     save(figure, "sheet")
 
 
-def crumple(nodes: int) -> jc.Run:
-    config = jc.configure("radial", nodes=nodes, t_end=3.2, settings={"frames": 16})
-    folder = tempfile.mkdtemp() + "/radial"
-    print(jc.start_run(config, folder)["result"])
+def crumple(folder: Path) -> jc.Run:
+    """The run in a folder; it is made if the folder does not exist."""
+    if not folder.exists():
+        config = jc.configure("radial", nodes=3000, seed=1, t_end=4.5)
+        print(jc.start_run(config, folder)["result"])
     return jc.load(folder)
 
 
@@ -71,7 +71,7 @@ def contact(run: jc.Run) -> None:
     """A plane cuts the last frame."""
     figure, axes = plain(height=4.2)
     middle = center_of_mass(run.mesh, run.x[-1])
-    outlines = thick_section(run.mesh, run.x[-1], 0.25e-3, middle, (1.0, 0.0, 0.0))
+    outlines = thick_section(run.mesh, run.x[-1], 0.25e-3, middle, (0.0, 0.0, 1.0))
     axes.add_collection(PolyCollection(list(1e3 * outlines), color="#1f4e79", linewidth=0.2))
     axes.autoscale_view()
     axes.set(xlabel="[mm]", ylabel="[mm]", aspect="equal")
@@ -91,22 +91,25 @@ def hinge_cycle() -> None:
     figure, axes = plain()
     axes.plot(c, c - p, color="#1f4e79")
     axes.axhline(0.0, color="#bbbbbb", linewidth=0.8)
-    kept = p[len(time) // 2]
+    released = np.flatnonzero((time > 1.0) & (c <= p))[0]
+    kept = p[released]
     axes.plot(kept, 0.0, "o", color="#d9541e")
-    axes.annotate("released: the crease", (kept, 0.0), (-128, 6), textcoords="offset points", color="#d9541e")
+    axes.annotate("released: the crease", (kept, 0.0), (-126, -14), textcoords="offset points", color="#d9541e")
     axes.set(xlabel="curvature c of the hinge [-]", ylabel="c - p, proportional to the moment [-]")
     save(figure, "yield")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--nodes", type=int, default=1000)
-    nodes = parser.parse_args().nodes
+    parser.add_argument(
+        "--run", type=Path, default=Path("runs/concepts"), help="folder of the crumple (26 min)"
+    )
+    run = crumple(parser.parse_args().run)
     sheet()
     hinge_cycle()
-    run = crumple(nodes)
-    jc.picture(run, len(run.t) // 2, field="paper", pixels=560).save(IMAGES / "concept_scene.jpg")
-    jc.picture(run, field="damage", pixels=560).save(IMAGES / "concept_state.jpg")
+    middle = int(np.searchsorted(run.t, 2.5))
+    jc.picture(run, middle, field="paper").save(IMAGES / "concept_scene.jpg")
+    jc.picture(run, field="damage", walls=False).save(IMAGES / "concept_state.jpg")
     stages(run)
     contact(run)
 
