@@ -60,8 +60,9 @@ def ridge(
 ) -> Setup:
     """Build a rectangular sheet, `length` along y and `width` along x, bent at its ends about the line x = 0.
 
-    Frames hold the two ends. Each frame adds a twentieth of the length and bends to a corner during `close`.
-    The sheet between the frames is free.
+    It becomes a minimal ridge (Lobkovsky et al., Science 270 (1995) 1482), whose curvature `ridge_curvature`
+    measures. Frames hold the two ends. Each frame adds a twentieth of the length and bends to a corner during
+    `close`. The sheet between the frames is free.
 
     **Arguments:** `nodes`, `seed`: number of nodes and seed of the random mesh; `length`, `width` in m;
     `turn`: bend angle of the corner in rad; `close` in s; `options` of the sheet: `SheetOptions`.
