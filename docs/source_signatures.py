@@ -57,7 +57,7 @@ def _signature(
             del arguments.args[0]
         arguments.defaults = [_known(one, function.__globals__) for one in arguments.defaults]
         arguments.kw_defaults = [one and _known(one, function.__globals__) for one in arguments.kw_defaults]
-        return f"({_short(arguments)})", parsed.returns and _short(parsed.returns)
+        return f"({_short(arguments)})", None if parsed.returns is None else _short(parsed.returns)
     return None
 
 

@@ -284,7 +284,7 @@ class Wall(eqx.Module):
 
     At the gap d a node has the energy kw sigma^2 s^3 / (3 (1 - s)) with the nearness s = 1 - d/sigma > 0. The
     force starts smoothly at d = sigma, as kw sigma s^2, and grows without bound towards the wall. The paper
-    does not specify its walls; this law is of this package.
+    gives no law for its walls.
 
     **Arguments:**
 

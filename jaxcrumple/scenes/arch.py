@@ -45,8 +45,8 @@ def arch(
     of that load.
 
     **Arguments:** `nodes`: approximate number of nodes of a triangular lattice with rows across the strip;
-    `length`, `width`, `rise` in m; ``load`` in N; `ramp` in s; `imperfection`: largest height in m of a smooth,
-    stress-free deviation from the circle, random with `seed`; `plastic`: whether the sheet may yield;
+    `length`, `width`, `rise` in m; ``load`` in N; `ramp` in s; `imperfection`: largest height in m of a
+    smooth, stress-free deviation from the circle, random with `seed`; `plastic`: whether the sheet may yield;
     `damping`: "central" or "paper"; `material`: default `Material()`. The last two rows at each end are
     fixed; the ends of `length` lie midway between these two rows.
 

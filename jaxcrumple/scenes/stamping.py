@@ -83,7 +83,9 @@ def shell(
     speed: Speed = 0.02,
     **options: Any,
 ) -> Setup:
-    """Build a shell, a spherical cap at rest, that two plates press flat (Tobasco et al., arXiv:2004.02839).
+    """Build a shell, a spherical cap at rest, that two plates press flat.
+
+    It wrinkles as in Tobasco et al., arXiv:2004.02839.
 
     **Arguments:** `nodes`, `seed`: number of nodes and seed of the random mesh; `radius`: arc length from
     apex to rim, `curvature_radius` of the sphere, final `gap` between the plates in m; `speed` of the upper
