@@ -24,7 +24,9 @@ FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 # Names that examples use without an import, as the first page of the reference says.
 IMPORTED = {"jax": jax, "jnp": jnp, "np": np, "jc": jc, "measure": measure}
 # Arguments that need no words.
-PLAIN = set("self cls mesh scene state x v p t run path name material nodes seed".split())
+PLAIN = {
+    "self", "cls", "mesh", "scene", "state", "x", "v", "p", "t", "run", "path", "name", "material", "nodes", "seed",
+}  # fmt: skip
 PUBLIC = {
     f"{module.__name__}.{name}": getattr(module, name) for module in (jc, measure) for name in module.__all__
 }
