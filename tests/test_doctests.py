@@ -25,7 +25,8 @@ FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 IMPORTED = {"jax": jax, "jnp": jnp, "np": np, "jc": jc, "measure": measure}
 # Arguments that need no words.
 PLAIN = {
-    "self", "cls", "mesh", "scene", "state", "x", "v", "p", "t", "run", "path", "name", "material", "nodes", "seed",
+    "self", "cls", "mesh", "scene", "state", "x", "v", "p", "t", "run", "path", "name", "material", "nodes",
+    "seed",
 }  # fmt: skip
 PUBLIC = {
     f"{module.__name__}.{name}": getattr(module, name) for module in (jc, measure) for name in module.__all__
@@ -33,7 +34,8 @@ PUBLIC = {
 ARGUMENTS = re.compile(r"\*\*Arguments:\*\*(?P<text>.*?)(?=\n\n\*\*|\n\n>>>|\Z)", re.DOTALL)
 # The names that begin an item: "- `a`, `b`: ..." or "`a` in m; `b`, `c`: ...".
 ITEM = re.compile(r"(?:^|;|\n- )\s*(?P<names>`\w+`(?: \([^)]*\))?(?:, `\w+`(?: \([^)]*\))?)*)")
-CHECK = re.compile(r"_?(check|require)_\w+")
+# Functions that refuse wrong values, by their names.
+CHECK = re.compile(r"_?(check|require)_\w+|positions|plastic_curvature|face_values|_?checked_\w+")
 
 
 def _members(value):

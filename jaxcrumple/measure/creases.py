@@ -64,6 +64,8 @@ def mean_curvature(mesh: Mesh, x: NodeVectorsLike) -> Float[np.ndarray, " nodes"
 
     On a random mesh of a cylinder the values scatter by 2 % in the interior and by about 100 % at the
     boundary, where the edges at a node do not cover all directions.
+
+    **Raises:** ValueError for a wrong shape of `x`.
     """
     ends = mesh.hinges[:, :2]
     integral = _to_nodes(ends, 0.5 * mesh.hinge_length * hinge_angles(mesh, x), mesh.n_nodes)

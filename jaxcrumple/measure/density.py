@@ -22,6 +22,8 @@ def face_stretch_density(
 
     `ks`: spring constants (e,), or one for all edges, in N/m. The faces of an edge share its energy (eq. 11)
     equally, so that density times `mesh.face_area` sums to the energy of the sheet.
+
+    **Raises:** ValueError for a wrong shape of `x`.
     """
     energy = 0.5 * np.asarray(ks) * (edge_length(mesh, x) - mesh.edge_length) ** 2
     of_face = face_edges(mesh)
@@ -38,6 +40,8 @@ def face_bending_density(
     `p`: rest curvature (h,); `stiffness`: kb times `Mesh.hinge_weight` (h,) in J, which is
     `scene.bending.stiffness`. Each face of a hinge receives half of the hinge energy (eq. 31, with the stop
     that keeps faces apart), so that density times `mesh.face_area` sums to the energy of the sheet.
+
+    **Raises:** ValueError for a wrong shape of `x`.
     """
     theta = hinge_angles(mesh, x)
     energy = hinge_energy(jnp.asarray(theta), jnp.asarray(p), jnp.asarray(stiffness))

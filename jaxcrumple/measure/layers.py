@@ -67,6 +67,8 @@ def radial_alignment(mesh: Mesh, x: NodeVectorsLike) -> Float[np.ndarray, " face
     It is (3 cos(beta)^2 - 1) / 2, where beta is the angle between the normal of a face and the direction from
     the centre of mass to the middle of the face. The value is 1 for concentric layers, as in an onion, and
     -1/2 for radial layers; the mean over isotropic directions is 0.
+
+    **Raises:** ValueError for a wrong shape of `x`.
     """
     corners = positions(mesh, x)[mesh.faces]
     outward = corners.mean(axis=1) - center_of_mass(mesh, x)

@@ -89,6 +89,8 @@ def ridge_curvature(mesh: Mesh, x: NodeVectorsLike) -> float:
 
     It is the largest mean curvature, averaged over narrow strips along the middle part of the ridge. The
     curvature along the ridge is negligible.
+
+    **Raises:** ValueError for a wrong shape of `x`.
     """
     along = np.abs(mesh.vertices[:, 1]) < 0.5 * MIDDLE * np.ptp(mesh.vertices[:, 1])
     across, curvature = mesh.vertices[along, 0], np.abs(mean_curvature(mesh, x))[along]
