@@ -17,13 +17,16 @@ NO_ROWS = np.zeros((0, len(COLUMNS)))
 
 
 class Observer(Protocol):
-    """Receive the progress of a run, e.g. to save or to show it."""
+    """Receive the progress of a run, e.g. to save or to show it: any object with these two methods."""
 
     def frame(self, index: int, state: State) -> None:
-        """Receive the state at each frame time."""
+        """Receive the `state` at the frame time number `index`, counted from 0."""
 
     def chunk(self, state: State, history: pd.DataFrame, events: pd.DataFrame, frames: int) -> None:
-        """Receive the new rows and the number of frames so far, at frame times and between them."""
+        """Receive the new rows of `history` and `events`, and the number of `frames` so far.
+
+        A run calls it at frame times and between them. The columns are those of `Solution.history`.
+        """
 
 
 @runtime_checkable
@@ -31,7 +34,10 @@ class PhaseObserver(Protocol):
     """An observer that also receives the phase of a run."""
 
     def phase(self, phase: Phase) -> None:
-        """Receive the phase that begins, or continues after a call of the program."""
+        """Receive the `phase` that begins, or continues after a call of the program.
+
+        Phases: "searching" for contact lists on the host, "compiling" or reading the program, "stepping".
+        """
 
 
 def tell_phase(observers: Sequence[Observer], phase: Phase) -> None:

@@ -30,10 +30,13 @@ WALL_NODES = 3000
 
 
 class Scene(eqx.Module):
-    """Describe a sheet, its surroundings and its scales. Terms that are None cost nothing.
+    """Describe a sheet, its surroundings and its scales, as `sheet` builds it.
 
-    - `mass` (n,) kg; `area` m2; `reference_acceleration` m/s2: $a_{ref} = k_s/(m\\lambda)$;
-      `velocity_scale` m/s: unit of the velocity error in the error test of the explicit stage.
+    A term that is None costs nothing.
+
+    - `mass` (n,) in kg; `area` in m2; `reference_acceleration` in m/s2: a_ref = ks / (m lambda), with lambda
+      = sqrt(n / A); `velocity_scale` in m/s: unit of the velocity error in the error test of the explicit
+      stage.
     - `membrane`, `bending`: always present. `plasticity`, `drag`, `damping`, `gravity`,
       `prescribed`, `contact`: may be None. `walls`, `extra`: tuples, possibly empty.
     - `pattern`: sparsity pattern of the tangent of the sheet.
@@ -64,7 +67,7 @@ class Scene(eqx.Module):
 
     @property
     def length_scale(self) -> Scalar:
-        """Return $\\sqrt A$ in m, the unit of the position error."""
+        """Return sqrt(A) in m, the unit of the position error."""
         return jnp.sqrt(self.area)
 
     @property
@@ -164,10 +167,10 @@ def sheet(
 
     - `mesh`, `material`: the sheet.
     - `walls`: list of `Wall` objects or shapes. A shape gets the default stiffness (0.05 ks at n = 3000,
-      scaled with node area) and the default range ($h_{eff}$).
+      scaled with node area) and the default range, which is the mean thickness.
     - `gravity`: acceleration (3,) in m/s2, or None.
-    - `prescribed`, `extra`: user-defined supports and energies.
-    - `plasticity`: user-defined flow rule that replaces the material's.
+    - `prescribed`: supports, a `Prescribed`. `extra`: user-defined energies, each an `ElementEnergy`.
+    - `plasticity`: user-defined `AbstractFlowRule` that replaces the material's.
     - `damping`: "central" (default) or "paper" (eq. 25).
     - `contact`: `SelfContact(...)`, or None for a phantom sheet, which passes through itself.
     - `like`: a scene of the same mesh, stencils and contact. The new scene takes from it all data that the
@@ -178,6 +181,12 @@ def sheet(
     **Raises:** ValueError when x64 is off or an option is unknown; for walls, supports, energies or a flow
     rule of the wrong type, with shapes that do not fit the mesh, with node numbers outside the mesh, or with
     numbers that are not finite; or when `like` has another mesh, stencils or contact.
+
+    >>> mesh = jc.hexagonal(5, 4, 2e-3)
+    >>> paper = jc.Material(thickness=0.2e-3, density=800.0)
+    >>> scene = jc.sheet(mesh, paper, walls=[jc.Plane((0, 0, 1), -0.01)], gravity=(0, 0, -9.81))
+    >>> print(f"{scene.mass.sum() / mesh.area:.3f} kg/m2")
+    0.160 kg/m2
     """
     if not isinstance(mesh, Mesh):
         raise ValueError(

@@ -68,10 +68,12 @@ class SimulationError(RuntimeError):
 class Solution:
     """Hold what `simulate` returns.
 
-    `state`: the last good state; `result`: one of the names of `RESULTS`, and its `message`; frames at
-    times `t` (f,) s with positions `x` (f, n, 3) m, velocities `v` (f, n, 3) m/s and rest curvatures
-    `p` (f, h) or None; `history` and `events`: tables; `compile_s` and `run_s`: wall time in s; `record`: the
-    accepted steps for `replay` with `record=True`, else None.
+    - `state`: the last good state; `result`: one of the names of `RESULTS`; `message`: its meaning and cure.
+    - Frames at the times `t` (f,) in s that the run reached: positions `x` (f, n, 3) in m, velocities `v` (f,
+      n, 3) in m/s, rest curvatures `p` (f, h) or None.
+    - `history`: table with one row per step, or per 16 explicit steps; `events`: table of changes of stage.
+    - `compile_s`, `run_s`: wall time in s. `record`: the accepted steps for `replay` with `record=True`, else
+      None.
     """
 
     state: State
@@ -145,7 +147,16 @@ def simulate(
     of another scene or one that violates its supports; a motion that is not finite at a frame time; an object
     that is not a solver; a limit that is negative or not a number; frames that exceed the memory; or a start
     that no run can leave: behind a wall, with a hinge at 180 degrees or, in a scene with contact, passing
-    through itself.
+    through itself. `SimulationError` with `throw`.
+
+    >>> mesh = jc.hexagonal(3, 2, 5e-3)
+    >>> scene = jc.sheet(mesh, jc.Material(yield_curvature=None), gravity=(0, 0, -9.81))
+    >>> state = jc.initial_state(scene, mesh.vertices)
+    >>> solution = jc.simulate(scene, state, [0.05, 0.1])
+    >>> solution.result, solution.x.shape  # frames, nodes, 3
+    ('success', (2, 9, 3))
+    >>> print(f"{solution.v[-1, :, 2].mean():.5f} m/s")  # -g / drag_rate, as the air drags
+    -0.00981 m/s
     """
     check_state(scene, state)
     check_start(scene, state)
@@ -201,6 +212,9 @@ def frame_times(t_end: float, frames: int) -> Float[np.ndarray, " times"]:
     """Return `frames` + 1 evenly spaced times from 0 to `t_end` in s.
 
     **Raises:** ValueError for an end time that is not positive, or fewer frames than 1.
+
+    >>> jc.frame_times(1.0, 4)
+    array([0.  , 0.25, 0.5 , 0.75, 1.  ])
     """
     if not (is_number(t_end) and np.isfinite(t_end) and t_end > 0):
         raise ValueError(f"t_end = {t_end!r} s must be a positive time.")

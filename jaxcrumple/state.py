@@ -27,7 +27,10 @@ CAUSES = ("error", "newton", "unstable", "fold", "nonfinite", "contact")
 
 
 class RESULTS(eqx.Enumeration):
-    """Name how a run ended."""
+    """Name how a run ended: success, budget, collapsed, blocked, intersected or nonfinite.
+
+    `RESULTS[state.result]` says in words what a member means, and what to do.
+    """
 
     success = "the run reached its end time"
     budget = "the budget of step attempts or wall time is used up before the end time; resume to continue"
@@ -138,12 +141,18 @@ class Limit(NamedTuple):
 class State(eqx.Module):
     """Hold all variables that evolve. Its structure is fixed, so that a checkpoint is the whole State.
 
-    `t` s; `x` (n, 3) m; `v` (n, 3) m/s; `p` (h,) rest curvature, or None in an elastic scene; `h`,
-    `h_explicit`: next step of the implicit stages and of the explicit stage in s; `limit`: stability limit
-    of explicit steps, measured at intervals; `stage`: `QUASISTATIC`, `IMPLICIT`, `EXPLICIT`, or -1 for the
-    first stage of the scheme; `slopes`: derivatives that an explicit step passes to the next; `listing`: None
-    without contact; `history`: past points of the implicit stages; `kept`: where the last tangent of the
-    implicit steps was computed; `monitor`, `counters`, `result`; `work`: the work ledger, or None.
+    `initial_state` builds one. Users read the first four fields, `counters` and `work`.
+
+    - `t` in s; `x` (n, 3) in m; `v` (n, 3) in m/s; `p` (h,): dimensionless rest curvatures, or None in an
+      elastic scene.
+    - `counters`: accepted and rejected steps, iterations and factorisations. `work`: the work ledger in J, or
+      None. `result`: a member of `RESULTS`.
+    - `h`, `h_explicit`: next step of the implicit stages and of the explicit stage in s; `limit`: stability
+      limit of explicit steps, measured at intervals; `stage`: 0 quasistatic, 1 implicit, 2 explicit, -1 the
+      first stage of the scheme.
+    - `slopes`: derivatives that an explicit step passes to the next; `listing`: where the contact lists were
+      built, None without contact; `history`: past points of the implicit stages; `kept`: where the last
+      tangent of the implicit steps was computed; `monitor` of the accelerations.
     """
 
     t: Scalar
@@ -175,12 +184,17 @@ def initial_state(
 ) -> State:
     """Build the state at t = 0 with positions `x` (n, 3) in m and velocities `v` (n, 3) in m/s (default 0).
 
-    `window`: number of steps that the acceleration monitor averages; `ledger`: whether runs from the state
-    keep the work ledger (`Work`). The ledger costs little in implicit steps, and two force evaluations in
-    each explicit step.
+    **Arguments:** `window`: number of steps that the acceleration monitor averages; `ledger`: whether runs
+    from the state keep the work ledger (`Work`), which costs little in implicit steps, and two force
+    evaluations in each explicit step.
 
     **Raises:** ValueError for positions or velocities of another shape or not finite, positions that differ
     from those of the supports, an empty window, or an object that is not a Scene.
+
+    >>> mesh = jc.hexagonal(4, 2, 2e-3)
+    >>> state = jc.initial_state(jc.sheet(mesh, jc.Material()), mesh.vertices)
+    >>> state.x.shape, state.p.shape, float(state.t)  # nodes, hinges, s
+    ((12, 3), (13,), 0.0)
     """
     check_scene(scene)
     if not isinstance(window, int | np.integer) or window < 1:

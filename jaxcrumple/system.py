@@ -45,8 +45,23 @@ def energies(
 ) -> Energies:
     """Compute the energies by term in J. `bending` is the stored bending energy, at rest curvature `p`.
 
+    A scene with contact needs neighbour lists for `x`, see `with_contacts`.
+
+    **Arguments:** `x` (n, 3): positions in m; `v` (n, 3): velocities in m/s; `p` (h,): dimensionless rest
+    curvatures, or None for those of the mesh; `t`: time in s.
+
+    **Returns:** `Energies`: `stretch` (eq. 11), `bending` (eq. 31), `contact` (eq. 26 for the penalty),
+    `walls`, `gravity`, `extra`, `kinetic`.
+
     **Raises:** ValueError if positions or velocities are not of shape (n, 3), rest curvatures not of shape
-    (h,), or the time is not one number.
+    (h,), or the time is not one number; for a scene with contact but without lists.
+
+    >>> mesh = jc.hexagonal(5, 4, 2e-3)
+    >>> scene = jc.sheet(mesh, jc.Material())
+    >>> x = 1.01 * mesh.vertices  # 1 % larger in both directions
+    >>> found = jc.energies(scene, x, np.zeros_like(x), None, 0.0)
+    >>> print(f"{found.stretch:.4e} J, {found.bending} J, {found.kinetic} J")
+    2.4249e-03 J, 0.0 J, 0.0 J
     """
     x, v = nodal(scene, x=x, v=v)
     p, t = _others(scene, p, t)
@@ -85,6 +100,8 @@ def _others(scene: Scene, p: HingeValuesLike | None, t: ScalarLike) -> tuple[Hin
 def potential_energy(scene: Scene, x: NodeVectorsLike, p: HingeValuesLike | None, t: ScalarLike) -> Scalar:
     """Compute the total potential energy in J. Its gradient is the reference for the closed-form forces.
 
+    **Arguments:** as of `energies`.
+
     **Raises:** ValueError as `energies` does.
     """
     (x,) = nodal(scene, x=x)
@@ -119,7 +136,18 @@ def force(
 ) -> NodeVectors:
     """Compute the net force F(x, v, p, t) on the nodes (n, 3) in N (eq. 2).
 
+    It includes drag and internal damping, and the reactions of no support.
+
+    **Arguments:** as of `energies`.
+
     **Raises:** ValueError as `energies` does.
+
+    >>> mesh = jc.hexagonal(5, 4, 2e-3)
+    >>> scene = jc.sheet(mesh, jc.Material(), gravity=(0, 0, -9.81))
+    >>> rest = np.zeros_like(mesh.vertices)
+    >>> weight = jc.force(scene, mesh.vertices, rest, None, 0.0).sum(axis=0)
+    >>> print(jnp.round(weight / scene.mass.sum(), 6))  # m/s2
+    [ 0.    0.   -9.81]
     """
     x, v = nodal(scene, x=x, v=v)
     p, t = _others(scene, p, t)
@@ -239,7 +267,11 @@ def elastic_tangent(
 ) -> Float[Array, " entries"]:
     """Compute the values (size,) in N/m of the Hessian of the potential energy plus `shift` times the mass.
 
-    `shift` in 1/s2; `taut` as in `Membrane.blocks`.
+    Unlike `tangent`, JAX can trace and differentiate it. The values are the entries of the upper triangle in
+    the order of `scene.sparsity`, for `linear_solve`. Prescribed components are decoupled.
+
+    **Arguments:** `x`, `p`, `t` as of `energies`; `shift` in 1/s2; `taut`: whether to leave out the negative
+    geometric stiffness of compressed springs, for all edges or for each (e,).
 
     **Raises:** ValueError as `energies` does.
     """
@@ -289,9 +321,19 @@ def _eliminate(
 def tangent(scene: Scene, state: State) -> sparse.csr_array:
     """Compute the stiffness matrix (3n, 3n) in N/m: the Hessian of the potential energy at fixed p.
 
-    Row and column numbers are 3 * node + component. Prescribed components are decoupled.
+    It contains the exact second derivatives of appendix A, geometric stiffness included, so that it may be
+    indefinite. Row and column numbers are 3 * node + component. Prescribed components are decoupled.
+
+    **Arguments:** `scene`; `state`: for its positions, rest curvatures and time.
 
     **Raises:** ValueError for a state of another scene.
+
+    >>> mesh = jc.hexagonal(4, 2, 2e-3)
+    >>> scene = jc.sheet(mesh, jc.Material())
+    >>> stiffness = jc.tangent(scene, jc.initial_state(scene, mesh.vertices))
+    >>> moves = np.linalg.eigvalsh(stiffness.toarray()) < 1e-9 * stiffness.max()
+    >>> stiffness.shape, int(moves.sum())  # a free sheet has six rigid motions
+    ((36, 36), 6)
     """
     check_state(scene, state)
     values = np.asarray(eqx.filter_jit(elastic_tangent)(scene, state.x, state.p, state.t))
@@ -308,7 +350,7 @@ def tangent(scene: Scene, state: State) -> sparse.csr_array:
 
 @door
 def mass_matrix(scene: Scene) -> sparse.dia_array:
-    """Return the lumped mass matrix (3n, 3n) in kg.
+    """Return the lumped, diagonal mass matrix (3n, 3n) in kg, for the eigenmodes of `tangent`.
 
     **Raises:** ValueError if `scene` is not a Scene.
     """

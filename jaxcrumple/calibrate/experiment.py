@@ -35,7 +35,7 @@ class Experiment(NamedTuple):
     residuals: Callable[[Replay], Float[Array, " residuals"]]
 
     def start(self, values: Values) -> tuple[Scene, State]:
-        """Return the scene and the initial state at given parameter values.
+        """Return the scene and the initial state at parameter `values`, by name.
 
         **Raises:** ValueError if `setup` asks for an unknown parameter, or does not return a scene and a
         state.
@@ -57,7 +57,12 @@ class Experiment(NamedTuple):
         return made
 
     def at_start(self, values: Values) -> Float[ArrayLike, " residuals"]:
-        """Return the residuals (m,) of a sheet that does not move from its start."""
+        """Return the residuals (m,) at parameter `values` of a sheet that does not move from its start.
+
+        It runs nothing, so it checks setup and residuals quickly.
+
+        **Raises:** ValueError as `start`, or for times that do not increase.
+        """
         _, state = self.start(values)
         times = jnp.asarray(checked_times(self.times))
         x, v, p = (

@@ -42,12 +42,14 @@ LEAST = 0.25
 
 
 class SelfContact(NamedTuple):
-    """Set the options of a sheet's self-contact.
+    """Set the options of a sheet's self-contact: a repulsion between sites on its triangles (eqs. 26-28).
+
+    `sheet` checks them.
 
     - `potential`: "inverse-power" rises slowly and is infinite at r = 0. "penalty" is the paper's (26); it
       rises faster, so that steps must be shorter, and is finite at r = 0. "barrier" becomes infinite before
       layers touch; it needs four times as many sites. Steps that would pass through are rejected.
-    - `range`: $\\sigma$ in m, by default $h_{eff}$.
+    - `range`: sigma in m, the distance at which two sites start to push; by default the mean thickness.
     - `level`: number of sites on an edge between its ends; by default the lowest level whose sites are no
       further apart than the range.
     """

@@ -25,28 +25,33 @@ TRIES = 10
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run:
-    """The output of a run, finished or not.
+    """The output of a run, finished or not: what `load` reads, or `Run.from_solution` makes.
 
-    The column `kind` of `history` is 0 for a step, 1 for the last state of a stage and 2 for the first state
-    of the next stage.
+    - Frames: times `t` (f,) in s, positions `x` (f, n, 3) in m, velocities `v` (f, n, 3) in m/s, rest
+      curvatures `p` (f, h), which are those of the mesh if the sheet is elastic.
+    - `mesh`: the `Mesh`. `config`: settings of the run. `summary`: final result, empty if the run is in
+      progress or was killed.
+    - `history`: table with one row per logged step, in SI units. Its column `kind` is 0 for a step, 1 for the
+      last state of a stage and 2 for the first state of the next stage. `events`: table of changes of stage.
+    - `scene`: scene of a run in memory, else None, because `config` describes that of a folder.
     """
 
-    t: Float[np.ndarray, " frames"]  # (f,) times of the frames [s]
-    x: Float[np.ndarray, "frames nodes 3"]  # (f, n, 3) positions [m]
-    v: Float[np.ndarray, "frames nodes 3"]  # (f, n, 3) velocities [m/s]
-    p: Float[np.ndarray, "frames hinges"]  # (f, h) rest curvature; that of the mesh if elastic
+    t: Float[np.ndarray, " frames"]
+    x: Float[np.ndarray, "frames nodes 3"]
+    v: Float[np.ndarray, "frames nodes 3"]
+    p: Float[np.ndarray, "frames hinges"]
     mesh: Mesh
-    config: dict[str, Any]  # settings of the run
-    summary: dict[str, Any]  # final result; empty if the run is in progress or was killed
-    history: pd.DataFrame  # one row per logged step, columns `jaxcrumple.solvers.log.COLUMNS`
-    events: pd.DataFrame  # changes of stage
-    scene: Scene | None = None  # scene of a run in memory; `config` tells that of a folder
+    config: dict[str, Any]
+    summary: dict[str, Any]
+    history: pd.DataFrame
+    events: pd.DataFrame
+    scene: Scene | None = None
 
     @classmethod
     def from_solution(cls, mesh: Mesh, scene: Scene, solution: Solution) -> Run:
         """Return what `simulate` returned as a run, for pictures, films and pages.
 
-        **Arguments:** the `mesh` and the `scene` that the solution belongs to.
+        **Arguments:** `mesh`, `scene`: those of the `solution`.
 
         **Raises:** ValueError if the solution has no frames, or frames of another mesh.
         """

@@ -57,35 +57,40 @@ _PER_NODE = ("thickness", "yield_curvature", "yield_c0")
 class Material:
     """Properties of the sheet in SI units. `thickness` and the yield fields may be nodal arrays (n,).
 
+    Fields: `young_modulus` Y in Pa; `thickness` h in m; `density` in kg/m3; `yield_curvature` in 1/m, or
+    `yield_c0`; `gamma` of (35), dimensionless, and `plastic_time` in s, which enter only as plastic_time (1 +
+    gamma), the time scale of the plastic flow that (34) omits; `drag_rate` b_iso / m of (24) in 1/s;
+    `internal_damping_time` b_int / ks of (25) in s; `mass_lumping`: "uniform" node masses (the paper's
+    choice), or by "area".
+
     `yield_curvature` is a physical curvature. `discretize` converts it hinge by hinge into the dimensionless
     yield curvature c0 of (35), so a refined mesh yields at the same curvature. `yield_c0` sets c0 itself, as
     the paper does; its physical meaning then depends on the mesh (Fig. 3b). Give only one of the two.
     `Material(yield_curvature=None)` is elastic. Traced numbers are not checked.
 
-    **Raises:** `ValueError` naming field, value and unit if a value is not finite or has the wrong sign, if
+    **Raises:** ValueError naming field, value and unit if a value is not finite or has the wrong sign, if
     both yield fields are given, or for an unknown `mass_lumping`.
+
+    >>> sheet = jc.Material(young_modulus=3e9, thickness=0.1e-3)
+    >>> sheet.young_modulus_2d, round(sheet.bending_rigidity, 9)  # N/m, J
+    (300000.0, 0.00028125)
+    >>> sheet.yield_curvature, sheet.is_elastic, jc.Material(yield_curvature=None).is_elastic
+    (200.0, False, True)
+    >>> jc.Material(thickness=-1e-3)
+    Traceback (most recent call last):
+    ValueError: thickness = -0.001 [m] is not usable; give a finite number > 0
     """
 
     young_modulus: float = 1e9
-    """Y, three-dimensional [Pa]."""
     thickness: _Nodal = 0.25e-3
-    """h [m]."""
     density: float = 1000.0
-    """[kg/m^3]."""
     yield_curvature: _Nodal | None = _DEFAULT
-    """Onset of plastic flow [1/m]; 200 unless `yield_c0` is given."""
     yield_c0: _Nodal | None = None
-    """c0 of (35), dimensionless."""
     gamma: float = 0.0
-    """gamma of (35), dimensionless. It enters only as `plastic_time * (1 + gamma)`."""
     plastic_time: float = 1e-3
-    """Time scale of the plastic flow [s]: dp/dt = f / plastic_time. (34) omits it."""
     drag_rate: float = 1e3
-    """b_iso / m of (24) [1/s]."""
     internal_damping_time: float = 2e-7
-    """b_int / ks of (25) [s]."""
     mass_lumping: Literal["uniform", "area"] = "uniform"
-    """Equal node masses (the paper's choice), or masses proportional to the area around each node."""
 
     def __post_init__(self) -> None:
         if self.yield_curvature is _DEFAULT:
@@ -107,31 +112,31 @@ class Material:
 
     @property
     def young_modulus_2d(self) -> _Nodal:
-        """Y_2D = Y h [N/m], below (22)."""
+        """Y_2D = Y h in N/m, below (22)."""
         return self.young_modulus * self.thickness
 
     @property
     def spring_constant(self) -> _Nodal:
-        """ks = sqrt(3)/2 Y_2D [N/m], (10)."""
+        """ks = sqrt(3)/2 Y_2D in N/m (eq. 10)."""
         return math.sqrt(3) / 2 * self.young_modulus_2d
 
     @property
     def bending_constant(self) -> _Nodal:
-        """kb = ks h^2 / 8 [J], (23) with h_eff = h."""
+        """kb = ks h^2 / 8 in J (eq. 23 with h_eff = h)."""
         return self.spring_constant * self.thickness**2 / 8
 
     @property
     def bending_rigidity(self) -> _Nodal:
-        """kappa = sqrt(3)/2 kb [J], (14)."""
+        """kappa = sqrt(3)/2 kb in J (eq. 14)."""
         return math.sqrt(3) / 2 * self.bending_constant
 
     def discretize(self, mesh: Mesh) -> ModelConstants:
-        """Compute the constants of every spring, hinge and node of `mesh`.
+        """Compute the constants of every spring, hinge and node of `mesh`, in SI units.
 
         Properties given per node are averaged over the two ends of a spring, and over the two ends of a
         hinge's shared edge.
 
-        **Raises:** `ValueError` if an array does not have one value per node.
+        **Raises:** ValueError if an array does not have one value per node.
         """
         for name in _PER_NODE:
             _check_length(name, getattr(self, name), mesh.n_nodes)

@@ -63,9 +63,16 @@ def preset(name: str, **values: Any) -> Material:
     """Make the `Material` of a preset; `values` replace its own, e.g. `preset("Mylar", thickness=0.1e-3)`.
 
     The yield curvature in 1/m follows the thickness, unless it or `yield_c0` is given. SI units as in
-    `Material`.
+    `Material`. `PRESETS` lists the names; the sources of the numbers are in `jaxcrumple.material.presets`.
 
     **Raises:** ValueError for an unknown name or an impossible value.
+
+    >>> film = jc.preset("Mylar", thickness=0.1e-3)
+    >>> film.young_modulus, film.yield_curvature  # Pa, 1/m: 2 % strain at the surface
+    (4900000000.0, 400.0)
+    >>> jc.preset("milar")
+    Traceback (most recent call last):
+    ValueError: preset 'milar' is unknown; did you mean 'Mylar'?
     """
     return Material(**with_preset(PRESETS[find(name)], values))
 

@@ -66,12 +66,16 @@ def _row(
 def power_law_exponent(
     values: Real[ArrayLike, " values"] | Sequence[float], least: float
 ) -> tuple[float, float]:
-    """Fit the density $x^{-\\alpha}$ to all `values` >= `least` by maximum likelihood.
+    """Fit the density x^(-alpha) to all `values` >= `least` by maximum likelihood.
 
     Return the exponent and its standard error (Clauset, Shalizi & Newman, SIAM Review 51 (2009) 661, eqs. 3.1
     and 3.2).
 
     **Raises:** ValueError if `least` is not positive, or if fewer than two values reach it.
+
+    >>> exponent, error = measure.power_law_exponent([1.0, 2.0, 4.0, 8.0], least=1.0)
+    >>> round(exponent, 3), round(error, 3)  # 1 + 4 / ln(1 * 2 * 4 * 8)
+    (1.962, 0.481)
     """
     found = np.asarray(values, float)
     found = found[found >= least]

@@ -14,7 +14,7 @@ from jaxcrumple.model.walls import Wall
 def wall_force(wall: Wall, x: NodeVectorsLike, t: float) -> float:
     """Return the total normal force in N of the sheet on a wall.
 
-    `x` (n, 3): positions in m; `t`: time in s. For a shrinking sphere this is $F(R) = -dU/dR$, pressure times
-    area.
+    `wall`: a `Wall` of the scene; `x` (n, 3): positions in m; `t`: time in s. For a shrinking sphere this is
+    -dU/dR, pressure times area.
     """
     return float(np.linalg.norm(np.asarray(wall.force(jnp.asarray(x), jnp.asarray(t))), axis=1).sum())

@@ -19,7 +19,17 @@ DAMAGE = 0.05
 
 
 def hinge_angles(mesh: Mesh, x: NodeVectorsLike) -> Float[np.ndarray, " hinges"]:
-    """Return the signed angle (h,), -pi to pi rad, between the face normals of a hinge; `x` (n, 3) in m."""
+    """Return the signed angle (h,), -pi to pi rad, between the face normals of a hinge; `x` (n, 3) in m.
+
+    It is positive where the sheet is convex seen from the side of the face normals.
+
+    **Raises:** ValueError for a wrong shape of `x`.
+
+    >>> square = jc.Mesh.from_arrays([[0, 0], [1, 0], [1, 1], [0, 1]], [[0, 1, 2], [0, 2, 3]])
+    >>> folded = np.array([[0, 0, 0], [0.5, 0.5, 2**-0.5], [1, 1, 0], [0, 1, 0]])  # node 1 moved up
+    >>> np.degrees(measure.hinge_angles(square, folded)).round(6)
+    array([-90.])
+    """
     corners = positions(mesh, x)[mesh.hinges]
     e0, e1, e2 = (corners[:, k] - corners[:, 0] for k in (1, 2, 3))
     n1, n2 = np.cross(e0, e1), np.cross(e2, e0)
@@ -29,22 +39,33 @@ def hinge_angles(mesh: Mesh, x: NodeVectorsLike) -> Float[np.ndarray, " hinges"]
 
 
 def hinge_curvature(mesh: Mesh, x: NodeVectorsLike) -> Float[np.ndarray, " hinges"]:
-    """Return the dimensionless curvature (h,) $c = 2 \\sin(\\theta/2)$ of each hinge (eq. 33)."""
+    """Return the dimensionless curvature (h,) c = 2 sin(theta/2) of each hinge (eq. 33); `x` (n, 3) in m.
+
+    **Raises:** ValueError for a wrong shape of `x`.
+
+    >>> square = jc.Mesh.from_arrays([[0, 0], [1, 0], [1, 1], [0, 1]], [[0, 1, 2], [0, 2, 3]])
+    >>> folded = np.array([[0, 0, 0], [0.5, 0.5, 2**-0.5], [1, 1, 0], [0, 1, 0]])  # node 1 moved up
+    >>> measure.hinge_curvature(square, folded).round(4)  # a valley of 90 degrees
+    array([-1.4142])
+    """
     return 2.0 * np.sin(0.5 * hinge_angles(mesh, x))
 
 
 def mean_curvature(mesh: Mesh, x: NodeVectorsLike) -> Float[np.ndarray, " nodes"]:
-    """Return the mean curvature (n,) $H = c_1 + c_2$ in 1/m at the nodes: 1/R on a cylinder, 2/R on a sphere.
+    """Return the mean curvature (n,) in 1/m at the nodes: 1/R on a cylinder, 2/R on a sphere.
 
-    The integral of H over a hinge is $|e_0| \\theta$ (Cohen-Steiner & Morvan 2003, there for $H/2$). Each end
-    of the shared edge receives half of it. The sum at a node is divided by the circumcentric area of the
-    node. The reason: $\\theta$ turns over the distance between the two circumcentres, so that a sphere is
-    exact at every node. With a third of each triangle (`mesh.node_area`) the error is 15 % at a node with
-    five neighbours. Lengths and areas are those of the rest shape, since the sheet hardly stretches. A node
-    without hinges has H = 0.
+    It is H = c1 + c2, the sum of the principal curvatures, at positions `x` (n, 3) in m. The integral of H
+    over a hinge is the length of its edge times its angle theta (Cohen-Steiner & Morvan, Restricted Delaunay
+    triangulations and normal cycle, SoCG 2003, there for H/2). Each end of the shared edge receives half of
+    it. The sum at a node is divided by the circumcentric area of the node. The reason: theta turns over the
+    distance between the two circumcentres, so that a sphere is exact at every node. With a third of each
+    triangle (`mesh.node_area`) the error is 15 % at a node with five neighbours. Lengths and areas are those
+    of the rest shape, since the sheet hardly stretches. A node without hinges has H = 0.
 
     On a random mesh of a cylinder the values scatter by 2 % in the interior and by about 100 % at the
     boundary, where the edges at a node do not cover all directions.
+
+    **Raises:** ValueError for a wrong shape of `x`.
     """
     ends = mesh.hinges[:, :2]
     integral = _to_nodes(ends, 0.5 * mesh.hinge_length * hinge_angles(mesh, x), mesh.n_nodes)
@@ -67,7 +88,10 @@ def _circumcentric_area(mesh: Mesh) -> Float[np.ndarray, " hinges"]:
 def damaged(mesh: Mesh, p: HingeValuesLike, threshold: float = DAMAGE) -> Bool[np.ndarray, " hinges"]:
     """Return a mask (h,) of the hinges whose rest curvature `p` (h,) changed by more than `threshold`.
 
-    **Raises:** ValueError for a threshold below 0, and as `plastic_curvature`.
+    Both are dimensionless; the default threshold is `DAMAGE`. The flow of eq. 35 leaves small rest curvatures
+    everywhere, so a threshold of 0 is not meaningful.
+
+    **Raises:** ValueError for a threshold below 0, or a wrong shape of `p`.
     """
     if not threshold >= 0:
         raise ValueError(f"threshold = {threshold!r} must be zero or positive")
@@ -91,13 +115,26 @@ def plastic_curvature(mesh: Mesh, p: HingeValuesLike) -> Float[np.ndarray, " hin
 def crease_pattern(mesh: Mesh, p: HingeValuesLike, threshold: float = DAMAGE) -> Int[np.ndarray, " hinges"]:
     """Return the sign (h,) of the creases, from the rest curvature `p` (h,) of the hinges.
 
-    1: mountain (convex seen from the side of the face normals), -1: valley, 0: hinge not damaged.
+    1: mountain (convex seen from the side of the face normals), -1: valley, 0: hinge not damaged, by
+    `threshold` as in `damaged`.
+
+    **Raises:** ValueError as `damaged`.
+
+    >>> mesh = jc.hexagonal(3, 2, 1e-3)
+    >>> p = np.array([0.5, -0.5, 0.01, 0, 0, 0, 0, 0])
+    >>> measure.crease_pattern(mesh, p)
+    array([ 1, -1,  0,  0,  0,  0,  0,  0], dtype=int8)
     """
     return np.where(damaged(mesh, p, threshold), np.sign(plastic_curvature(mesh, p)), 0).astype(np.int8)
 
 
 def mountain_valley_length(mesh: Mesh, p: HingeValuesLike, threshold: float = DAMAGE) -> tuple[float, float]:
-    """Return the rest lengths in m of mountains and of valleys; their sum is `crease_length`."""
+    """Return the rest lengths in m of mountains and of valleys; their sum is `crease_length`.
+
+    **Arguments:** `p` (h,) and `threshold` as in `damaged`.
+
+    **Raises:** ValueError as `damaged`.
+    """
     pattern = crease_pattern(mesh, p, threshold)
     mountain, valley = (float(mesh.hinge_length[pattern == sign].sum()) for sign in (1, -1))
     return mountain, valley
@@ -108,12 +145,27 @@ def crease_length(mesh: Mesh, p: HingeValuesLike, threshold: float = DAMAGE) -> 
 
     It depends on the mesh: a straight crease of length L follows a zig-zag of edges longer than L. Compare
     only runs with the same mesh size, and vary `threshold` to find the sensitivity.
+
+    **Arguments:** `p` (h,) and `threshold` as in `damaged`.
+
+    **Raises:** ValueError as `damaged`.
+
+    >>> square = jc.Mesh.from_arrays([[0, 0], [1, 0], [1, 1], [0, 1]], [[0, 1, 2], [0, 2, 3]])
+    >>> round(measure.crease_length(square, [0.5]), 4)  # m, along the diagonal
+    1.4142
+    >>> measure.crease_length(square, [0.5], threshold=0.6)
+    0.0
     """
     return float(mesh.hinge_length[damaged(mesh, p, threshold)].sum())
 
 
 def node_damage(mesh: Mesh, p: HingeValuesLike) -> Float[np.ndarray, " nodes"]:
-    """Return the largest $|p - p_{rest}|$ (n,) of the hinges whose shared edge ends at a node, or 0."""
+    """Return the largest damage (n,) of the hinges whose shared edge ends at a node, or 0; dimensionless.
+
+    The damage of a hinge is abs(p - p0), with its rest curvature `p` (h,) and that of the mesh, p0.
+
+    **Raises:** ValueError for a wrong shape of `p`.
+    """
     out = np.zeros(mesh.n_nodes)
     size = np.abs(plastic_curvature(mesh, p))
     for end in mesh.hinges[:, :2].T:
@@ -122,7 +174,12 @@ def node_damage(mesh: Mesh, p: HingeValuesLike) -> Float[np.ndarray, " nodes"]:
 
 
 def folded_hinges(mesh: Mesh, x: NodeVectorsLike, limit_deg: float = 170.0) -> int:
-    """Return the number of hinges with |angle| > `limit_deg` degrees; 180 degrees is a fully closed fold."""
+    """Return the number of hinges that are folded by more than `limit_deg` degrees, at `x` (n, 3) in m.
+
+    180 degrees is a fully closed fold.
+
+    **Raises:** ValueError for a wrong shape of `x`.
+    """
     return int(np.count_nonzero(np.abs(hinge_angles(mesh, x)) > np.deg2rad(limit_deg)))
 
 

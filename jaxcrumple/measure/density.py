@@ -22,6 +22,8 @@ def face_stretch_density(
 
     `ks`: spring constants (e,), or one for all edges, in N/m. The faces of an edge share its energy (eq. 11)
     equally, so that density times `mesh.face_area` sums to the energy of the sheet.
+
+    **Raises:** ValueError for a wrong shape of `x`.
     """
     energy = 0.5 * np.asarray(ks) * (edge_length(mesh, x) - mesh.edge_length) ** 2
     of_face = face_edges(mesh)
@@ -35,9 +37,11 @@ def face_bending_density(
 ) -> Float[np.ndarray, " faces"]:
     """Return the stored bending energy per rest area (f,) in J/m2 at positions `x` (n, 3) in m.
 
-    `p`: rest curvature (h,); `stiffness`: $K = k_b \\sqrt3 |e_0|^2/(2 \\bar A)$ (h,) in J, as in
-    `jaxcrumple.model.bending.Bending`. Each face of a hinge receives half of the hinge energy (eq. 31, with
-    the stop that keeps faces apart), so that density times `mesh.face_area` sums to the energy of the sheet.
+    `p`: rest curvature (h,); `stiffness`: kb times `Mesh.hinge_weight` (h,) in J, which is
+    `scene.bending.stiffness`. Each face of a hinge receives half of the hinge energy (eq. 31, with the stop
+    that keeps faces apart), so that density times `mesh.face_area` sums to the energy of the sheet.
+
+    **Raises:** ValueError for a wrong shape of `x`.
     """
     theta = hinge_angles(mesh, x)
     energy = hinge_energy(jnp.asarray(theta), jnp.asarray(p), jnp.asarray(stiffness))
@@ -45,7 +49,12 @@ def face_bending_density(
 
 
 def face_plastic_curvature(mesh: Mesh, p: HingeValuesLike) -> Float[np.ndarray, " faces"]:
-    """Return the mean (f,) of $|p - p_{rest}|$ over the hinges of each face, dimensionless, or 0."""
+    """Return the mean damage (f,) of the hinges of each face, dimensionless, or 0 for a face without hinges.
+
+    The damage of a hinge is abs(p - p0), with its rest curvature `p` (h,) and that of the mesh, p0.
+
+    **Raises:** ValueError for a wrong shape of `p`.
+    """
     count = _to_faces(mesh, np.ones(len(mesh.hinges)))
     return _to_faces(mesh, np.abs(plastic_curvature(mesh, p))) / np.maximum(count, 1.0)
 

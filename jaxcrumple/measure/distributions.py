@@ -15,10 +15,13 @@ from jaxcrumple.mesh.mesh import Mesh
 
 
 class Distribution(NamedTuple):
-    """A histogram, normalised as a density with integral 1."""
+    """A histogram: bounds `edges` (b + 1,) of its bins, and `density` (b,) per unit of the variable.
 
-    edges: Float[np.ndarray, " bounds"]  # (b + 1,) bounds of the bins
-    density: Float[np.ndarray, " bins"]  # (b,) probability density, per unit of the variable
+    The integral of the density is 1.
+    """
+
+    edges: Float[np.ndarray, " bounds"]
+    density: Float[np.ndarray, " bins"]
 
 
 def fold_angle_distribution(

@@ -16,6 +16,10 @@ def localization(mesh: Mesh, density: Real[ArrayLike, " faces"], share: float = 
     result depends on the mesh, since a triangle is the smallest area.
 
     **Raises:** ValueError unless there is one density for each face, none negative, and 0 < share < 1.
+
+    >>> square = jc.Mesh.from_arrays([[0, 0], [1, 0], [1, 1], [0, 1]], [[0, 1, 2], [0, 2, 3]])
+    >>> round(measure.localization(square, [1.0, 3.0]), 4)  # two thirds of one half of the area
+    0.3333
     """
     if not 0 < share < 1:
         raise ValueError(f"share = {share!r} is not usable; give a fraction of the energy between 0 and 1")
@@ -28,13 +32,17 @@ def localization(mesh: Mesh, density: Real[ArrayLike, " faces"], share: float = 
 
 
 def participation_ratio(mesh: Mesh, density: Real[ArrayLike, " faces"]) -> float:
-    """Return the participation ratio $(\\int e\\,dA)^2 / (A \\int e^2 dA)$ of an energy density e.
+    """Return the participation ratio of an energy density e: (integral of e)^2 / (A integral of e^2).
 
     It is 1 for a uniform density. For a density that is uniform on a part of the area and zero elsewhere it
     is the fraction of that part (Bell & Dean, Discuss. Faraday Soc. 50 (1970) 55). It is nan for a sheet
     without energy. `density` (f,) in J/m2 as in `localization`.
 
     **Raises:** ValueError unless there is one density for each face, none negative.
+
+    >>> square = jc.Mesh.from_arrays([[0, 0], [1, 0], [1, 1], [0, 1]], [[0, 1, 2], [0, 2, 3]])
+    >>> measure.participation_ratio(square, [1.0, 0.0]), measure.participation_ratio(square, [1.0, 1.0])
+    (0.5, 1.0)
     """
     density = _density(mesh, density)
     squares = mesh.face_area.sum() * (density**2 @ mesh.face_area)

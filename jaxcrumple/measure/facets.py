@@ -36,10 +36,14 @@ _FLAT = 0.9  # least ratio of projected to true area of a triangle; below 1 to a
 
 
 class Facets(NamedTuple):
-    """Facets, numbered in the order of their first triangle."""
+    """Facets, numbered in the order of their first triangle.
 
-    label: Int[np.ndarray, " faces"]  # (f,) facet of each triangle, from 0; each facet is connected
-    area: Float[np.ndarray, " facets"]  # (k,) rest area of each facet [m^2]; the sum is the area of the sheet
+    `label` (f,): facet of each triangle, from 0; each facet is connected. `area` (k,) in m2: rest area of
+    each facet; the sum is the area of the sheet.
+    """
+
+    label: Int[np.ndarray, " faces"]
+    area: Float[np.ndarray, " facets"]
 
 
 def segment_facets(
@@ -53,16 +57,20 @@ def segment_facets(
 ) -> Facets:
     """Segment the sheet into facets, from the rest curvature `p` (h,) of its hinges.
 
+    It applies the watershed transform to the distance from the nearest crease (Soille, Morphological Image
+    Analysis, 2003, ch. 6 and 9), then merges regions whose border is not creased. The paper segments its
+    crease patterns by hand (Fig. 9d).
+
     **Arguments:**
 
     - `mesh`: its rest shape lies in the x-y plane, except for a small imperfection.
     - `threshold`: least change of the dimensionless rest curvature of a damaged hinge, as in `crease_length`.
-    - `fold`: least plastic fold angle of a crease, in rad. The plastic fold angle of a hinge is
-      $2 \\arcsin(|p|/2)$ (eq. 33), its plastic curvature in 1/m times its height. That of a crease is the sum
+    - `fold`: least plastic fold angle of a crease, in rad. The plastic fold angle of a hinge is 2
+      arcsin(abs(p)/2) (eq. 33), its plastic curvature in 1/m times its height. That of a crease is the sum
       over the hinges across it, so that it does not depend on the mesh size.
-    - `width`: width of a crease, in m, by default `ROWS` times $\\sqrt{A/n}$. All damage within this width
-      counts as one crease. A region that contains no circle of this diameter is not a facet: the algorithm
-      adds it to a neighbour.
+    - `width`: width of a crease, in m, by default 1.5 sqrt(A/n). All damage within this width counts as one
+      crease. A region that contains no circle of this diameter is not a facet: the algorithm adds it to a
+      neighbour.
     - `closed`: least creased fraction of the border between two facets, from 0 to 1.
 
     For known patterns with 15 % of the crease length missing, the adjusted Rand index is 0.98 at 500
@@ -71,6 +79,12 @@ def segment_facets(
     crease.
 
     **Raises:** ValueError if the sheet is not flat, `p` has another shape, or a parameter is out of range.
+
+    >>> mesh = jc.hexagonal(30, 20, 1e-3)
+    >>> across = mesh.vertices[mesh.hinges[:, :2], 0].mean(axis=1)  # x of the shared edges
+    >>> facets = measure.segment_facets(mesh, np.where(abs(across) < 0.6e-3, 1.0, 0.0))  # a crease at x = 0
+    >>> (1e4 * facets.area).round(2)  # cm2
+    array([2.51, 2.51])
     """
     width = ROWS / mesh.linear_density if width is None else width
     _check(mesh, fold, width, closed)

@@ -26,18 +26,26 @@ def fit_growth(
 ) -> pd.DataFrame:
     """Fit three laws to the crease `length` (m,) in m after each `cycle` (m,), from 1, by least squares.
 
-    The laws are "logarithmic", $c_1 \\ln(1 + c_2 n)$ (Gottesman et al., Communications Physics 1 (2018) 70),
-    "linear", $c_1 + c_2 n$, and "power", $c_1 n^{c_2}$.
+    The laws are "logarithmic", c1 ln(1 + c2 n) (Gottesman et al., Communications Physics 1 (2018) 70),
+    "linear", c1 + c2 n, and "power", c1 n^c2.
 
     **Returns:** one row per law, the best first, with `c1`, `c2`, the residual sum of squares `rss` in m2,
-    and `aicc`, Akaike's information criterion for small samples, $m \\ln(rss/m) + 2k + 2k(k+1)/(m-k-1)$ with
-    k = 3: two constants and the variance (Hurvich & Tsai, Biometrika 76 (1989) 297). `aicc` is NaN for m < 5,
+    and `aicc`, Akaike's information criterion for small samples, m ln(rss/m) + 2k + 2k (k+1) / (m-k-1) with k
+    = 3: two constants and the variance (Hurvich & Tsai, Biometrika 76 (1989) 297). `aicc` is NaN for m < 5,
     where it is undefined. All laws have two constants, so `aicc` and `rss` rank them equally. If the lengths
     lie on a line through zero, c2 of the logarithmic law goes to its lower limit and only c1 c2 is
     meaningful.
 
     **Raises:** ValueError for fewer than three different cycles (any law fits two points exactly), cycles
     below 1, lengths that are not positive, or different shapes.
+
+    >>> table = measure.fit_growth([1, 2, 3, 5, 8], [1.0, 1.6, 2.1, 2.7, 3.3])
+    >>> print(table[["c1", "c2", "rss"]].round(3))
+                    c1     c2    rss
+    law
+    logarithmic  1.573  0.905  0.003
+    power        1.113  0.533  0.034
+    linear       0.938  0.316  0.172
     """
     n, y = _checked(cycle, length)
     rows = {"logarithmic": _logarithmic(n, y), "linear": _linear(n, y), "power": _power(n, y)}

@@ -9,6 +9,8 @@ from jaxcrumple.mesh.mesh import Mesh
 def count_intersections(mesh: Mesh, x: NodeVectorsLike) -> int:
     """Return the number of edge-triangle pairs where the edge pierces the triangle; `x` (n, 3) in m.
 
-    It is 0 for a sheet without self-intersections. See `jaxcrumple.geometry.intersections`.
+    It is 0 for a sheet without self-intersections. Pairs that share a node do not count.
+
+    **Raises:** ValueError for a wrong shape of `x`.
     """
     return len(intersections(positions(mesh, x), mesh.faces, mesh.edges))

@@ -24,8 +24,14 @@ def chord_layers(
     """Return the number (k,) of layers that each chord crosses at positions `x` (n, 3) in m.
 
     `chords` (k, 2, 3): end points in m. A chord along the normal of a stack counts its layers.
+    Cambou & Menon, PNAS 108 (2011) 14741, count layers in images instead.
 
     **Raises:** ValueError for a wrong shape.
+
+    >>> square = jc.Mesh.from_arrays([[0, 0], [1, 0], [1, 1], [0, 1]], [[0, 1, 2], [0, 2, 3]])
+    >>> chords = [[[0.7, 0.2, -1], [0.7, 0.2, 1]], [[1.5, 0.2, -1], [1.5, 0.2, 1]]]
+    >>> measure.chord_layers(square, square.vertices, chords)
+    array([1, 0]...)
     """
     chords = np.asarray(chords, dtype=np.float64)
     if chords.ndim != 3 or chords.shape[1:] != (2, 3):
@@ -40,8 +46,8 @@ def stacked_layers(
 
     A chord extends from the middle of the face along its normal by `reach` (m) to both sides. It counts the
     layers that it crosses and whose angle to the face is less than `limit_deg` degrees; a side of a sharp
-    fold counts as a layer. In an isotropic arrangement with area A per volume, without stacks, the mean
-    is $1 + A\\,r \\sin^2 \\alpha$ with the reach r and the limit $\\alpha$ <= 90 degrees.
+    fold counts as a layer. In an isotropic arrangement with area A per volume, without stacks, the mean is
+    (1 + A r sin(alpha)^2) with the reach r and the limit alpha <= 90 degrees.
 
     Time and memory grow as the third power of `reach`: choose a few layer distances, not the ball size.
 
@@ -56,11 +62,13 @@ def stacked_layers(
 
 
 def radial_alignment(mesh: Mesh, x: NodeVectorsLike) -> Float[np.ndarray, " faces"]:
-    """Return the orientational order parameter $(3 \\cos^2 \\beta - 1)/2$ (f,) at positions `x` (n, 3) in m.
+    """Return the orientational order parameter (f,) of the faces at positions `x` (n, 3) in m.
 
-    $\\beta$ is the angle between the normal of a face and the direction from the centre of mass to the middle
-    of the face. The value is 1 for concentric layers, as in an onion, and -1/2 for radial layers; the mean
-    over isotropic directions is 0.
+    It is (3 cos(beta)^2 - 1) / 2, where beta is the angle between the normal of a face and the direction from
+    the centre of mass to the middle of the face. The value is 1 for concentric layers, as in an onion, and
+    -1/2 for radial layers; the mean over isotropic directions is 0.
+
+    **Raises:** ValueError for a wrong shape of `x`.
     """
     corners = positions(mesh, x)[mesh.faces]
     outward = corners.mean(axis=1) - center_of_mass(mesh, x)

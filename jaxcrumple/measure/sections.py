@@ -21,15 +21,20 @@ _PRISM = np.concatenate([_TRIANGLE, _TRIANGLE + 3, np.arange(6).reshape(2, 3).T]
 
 
 class Section(NamedTuple):
-    """Lines of intersection between a plane and the triangles of a sheet."""
+    """Lines of intersection between a plane and the triangles of a sheet.
 
-    faces: Int[np.ndarray, " lines"]  # (s,) indices of the cut faces
-    ends: Float[np.ndarray, "lines 2 2"]  # (s, 2, 2) both ends of each line, in m along the axes of the plane
-    axes: Float[np.ndarray, "2 3"]  # (2, 3) unit vectors in the plane, right-handed with the normal
+    - `faces` (s,): indices of the cut faces.
+    - `ends` (s, 2, 2): both ends of each line, in m along the axes of the plane.
+    - `axes` (2, 3): unit vectors in the plane, right-handed with the normal.
+    """
+
+    faces: Int[np.ndarray, " lines"]
+    ends: Float[np.ndarray, "lines 2 2"]
+    axes: Float[np.ndarray, "2 3"]
 
     @property
     def length(self) -> float:
-        """Total length of the lines [m]."""
+        """Total length of the lines in m."""
         return float(np.linalg.norm(self.ends[:, 1] - self.ends[:, 0], axis=1).sum())
 
 
@@ -57,7 +62,11 @@ def thick_section(
 
     Each triangle is a prism that extends half the thickness to both sides. Prisms overlap on the inside of a
     fold and leave a wedge on its outside. The corners of an outline are in cyclic order; an outline with
-    fewer than five repeats the last one. Other arguments and errors as in `cross_section`.
+    fewer than five repeats the last one.
+
+    **Arguments:** `x`, `point`, `normal` as in `cross_section`.
+
+    **Raises:** ValueError as `cross_section`.
     """
     corners = positions(mesh, x)[mesh.faces]
     origin, axes = plane(point, normal)

@@ -22,6 +22,8 @@ def center_of_mass(mesh: Mesh, x: NodeVectorsLike) -> Float[np.ndarray, " 3"]:
     """Return the centre of mass (3,) in m of a sheet of uniform thickness at positions `x` (n, 3) in m.
 
     Each triangle has the mass of its rest area, evenly distributed.
+
+    **Raises:** ValueError for a wrong shape of `x`.
     """
     return mesh.node_area @ positions(mesh, x) / mesh.node_area.sum()
 

@@ -38,15 +38,29 @@ def edge_length(mesh: Mesh, x: NodeVectorsLike) -> Float[np.ndarray, " edges"]:
 
 
 def edge_strain(mesh: Mesh, x: NodeVectorsLike) -> Float[np.ndarray, " edges"]:
-    """Return the engineering strain (e,) of the edges, length / rest length - 1, at `x` (n, 3) in m."""
+    """Return the engineering strain (e,) of the edges, length / rest length - 1, at `x` (n, 3) in m.
+
+    **Raises:** ValueError for a wrong shape of `x`.
+
+    >>> square = jc.Mesh.from_arrays([[0, 0], [1, 0], [1, 1], [0, 1]], [[0, 1, 2], [0, 2, 3]])
+    >>> longer = square.vertices * [1.01, 1.0, 1.0]  # 1 % in x
+    >>> measure.edge_strain(square, longer).round(4)  # of square.edges
+    array([0.01 , 0.005, 0.   , 0.   , 0.01 ])
+    """
     return edge_length(mesh, x) / mesh.edge_length - 1.0
 
 
 def rms_strain(mesh: Mesh, x: NodeVectorsLike) -> float:
-    """Return the root mean square of `edge_strain`, unweighted."""
+    """Return the root mean square of `edge_strain`, unweighted, at `x` (n, 3) in m.
+
+    **Raises:** ValueError for a wrong shape of `x`.
+    """
     return float(np.sqrt(np.mean(edge_strain(mesh, x) ** 2)))
 
 
 def max_strain(mesh: Mesh, x: NodeVectorsLike) -> float:
-    """Return the largest absolute value of `edge_strain`."""
+    """Return the largest absolute value of `edge_strain` at `x` (n, 3) in m.
+
+    **Raises:** ValueError for a wrong shape of `x`.
+    """
     return float(np.max(np.abs(edge_strain(mesh, x))))

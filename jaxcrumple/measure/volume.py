@@ -18,24 +18,28 @@ from jaxcrumple.mesh.mesh import Mesh
 
 
 class VolumeFraction(NamedTuple):
-    """Volume fraction of the sheet, dimensionless, in shells around its centre of mass."""
+    """Volume fraction of the sheet, dimensionless, in shells around its centre of mass.
 
-    radii: Float[np.ndarray, " bounds"]  # (k + 1,) bounds of the shells, from 0 to r0 [m]
-    phi: Float[np.ndarray, " shells"]  # (k,) volume fraction of each shell
-    phi0: float  # volume fraction of the sphere of radius r0
+    `radii` (k + 1,) in m: bounds of the shells, from 0 to `r0`; `phi` (k,): volume fraction of each shell;
+    `phi0`: that of the sphere of radius `r0`.
+    """
+
+    radii: Float[np.ndarray, " bounds"]
+    phi: Float[np.ndarray, " shells"]
+    phi0: float
 
     @property
     def r0(self) -> float:
-        """Largest distance of the sheet from its centre of mass [m]."""
+        """Largest distance of the sheet from its centre of mass in m."""
         return float(self.radii[-1])
 
 
 def volume_fraction(mesh: Mesh, x: NodeVectorsLike, thickness: float, *, shells: int = 20) -> VolumeFraction:
     """Return the volume fraction of a sheet in spherical shells of equal width (Fig. 8b).
 
-    The volume in a shell is the area of the middle surface in it, exact for the triangles, times the
-    thickness. The surface itself has zero thickness: use shells wider than the thickness. A sheet with
-    self-intersections can have a volume fraction above 1.
+    The measure is that of Cambou & Menon, PNAS 108 (2011) 14741. The volume in a shell is the area of the
+    middle surface in it, exact for the triangles, times the thickness. The surface itself has zero thickness:
+    use shells wider than the thickness. A sheet with self-intersections can have a volume fraction above 1.
 
     **Arguments:** `x` (n, 3) in m; `thickness` in m; `shells`: number k of shells.
 

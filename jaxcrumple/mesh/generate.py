@@ -31,9 +31,16 @@ def hexagonal(nx: int, ny: int, spacing: float, *, reorder: bool = True) -> Mesh
     It has `ny + 1` rows of `nx` nodes along x, `sqrt(3)/2 * spacing` apart, odd rows shifted by half a
     spacing. There are `2 (nx - 1) ny` faces. With `reorder=False` node i of row j has the number nx j + i.
 
-    **Arguments:** `nx >= 2` nodes per row; `ny >= 1` rows of triangles; `spacing` a > 0 [m].
+    **Arguments:** `nx`: nodes per row, at least 2; `ny`: rows of triangles, at least 1; `spacing` > 0 in m;
+    `reorder` as in `Mesh.from_arrays`.
 
-    **Raises:** `ValueError` if a count is too small or not an integer, or the spacing is not positive.
+    **Raises:** ValueError if a count is too small or not an integer, or the spacing is not positive.
+
+    >>> mesh = jc.hexagonal(4, 2, 1e-3)
+    >>> mesh.n_nodes, len(mesh.faces), len(mesh.hinges)
+    (12, 12, 13)
+    >>> print(mesh.edge_length.round(9).min(), mesh.edge_length.round(9).max())  # m
+    0.001 0.001
     """
     nx, ny = whole_number("nx", nx, 2), whole_number("ny", ny, 1)
     spacing = _length("spacing", spacing)
@@ -52,24 +59,35 @@ def hexagonal(nx: int, ny: int, spacing: float, *, reorder: bool = True) -> Mesh
 
 
 def rectangle(width: float, height: float, nodes: int, *, seed: int = 0, sweeps: int = 100) -> Mesh:
-    """Make a random mesh of exactly `nodes` nodes on the rectangle |x| <= width/2, |y| <= height/2, z = 0.
+    """Make a random mesh of exactly `nodes` nodes on a rectangle in the plane z = 0, centred on the origin.
 
-    **Arguments:** `width`, `height` > 0 [m]; `nodes` >= 5, more if the rectangle is slender; `seed` >= 0 of
-    the random positions; `sweeps` >= 0 of Lloyd's algorithm. Equal arguments give equal meshes.
+    Delaunay triangulation and Lloyd's algorithm, as in section 3.1 of the paper. Equal arguments give equal
+    meshes.
 
-    **Raises:** `ValueError` for a size not positive, or a count or seed too small or not an integer.
+    **Arguments:** `width` along x and `height` along y > 0 in m; `nodes` >= 5, more if the rectangle is
+    slender; `seed` >= 0 of the random positions; `sweeps` >= 0 of Lloyd's algorithm.
+
+    **Raises:** ValueError for a size that is not positive, or a count or seed too small or not an integer.
+
+    >>> mesh = jc.rectangle(0.1, 0.05, 60)
+    >>> mesh.n_nodes, round(mesh.area, 9)
+    (60, 0.005)
     """
     return _random_mesh(_Rectangle(_length("width", width), _length("height", height)), nodes, seed, sweeps)
 
 
 def disc(radius: float, nodes: int, *, seed: int = 0, sweeps: int = 100) -> Mesh:
-    """Make a random mesh of exactly `nodes` nodes on the disc x^2 + y^2 <= radius^2, z = 0.
+    """Make a random mesh of exactly `nodes` nodes on a disc in the plane z = 0, centred on the origin.
 
     The boundary is a regular polygon inscribed in the circle; its area is slightly smaller than the circle's.
 
-    **Arguments:** `radius` > 0 [m]; `nodes` >= 5; `seed` and `sweeps` as in `rectangle`.
+    **Arguments:** `radius` > 0 in m; `nodes` >= 5; `seed`, `sweeps` as in `rectangle`.
 
-    **Raises:** `ValueError` for a size not positive, or a count or seed too small or not an integer.
+    **Raises:** ValueError for a size that is not positive, or a count or seed too small or not an integer.
+
+    >>> mesh = jc.disc(0.05, 100)
+    >>> mesh.n_nodes, round(mesh.area / (np.pi * 0.05**2), 3)
+    (100, 0.993)
     """
     return _random_mesh(_Disc(_length("radius", radius)), nodes, seed, sweeps)
 

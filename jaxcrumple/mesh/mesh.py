@@ -34,29 +34,43 @@ _MIN_HEIGHT = 1e-6  # smallest height of a triangle, in units of its longest edg
 class Mesh:
     """A connected, oriented, manifold triangulation and its rest metric. Read-only arrays, lengths in metres.
 
-    Build one with `Mesh.from_arrays`, `Mesh.from_file` or the generators of `jaxcrumple.mesh.generate`.
+    Build one with `Mesh.from_arrays`, `Mesh.from_file`, `disc`, `rectangle` or `hexagonal`.
 
-    A hinge has columns x0, x1, x2, x3 as in Fig. 3a and (A.12)-(A.16): `e0 = x1 - x0` is the shared edge,
-    `e1 = x2 - x0`, `e2 = x3 - x0`, and `n1 = e0 x e1`, `n2 = -e0 x e2` are the normals of its two faces
-    (x0, x1, x2) and (x1, x0, x3), on the same side of the sheet. Its angle is positive where the sheet is
-    convex seen from that side. The edge (x0, x1) points as in `edges`.
+    - `vertices` (n, 3): rest positions in m, not necessarily flat.
+    - `faces` (f, 3): nodes of each triangle, consistently oriented.
+    - `edges` (e, 2): nodes of each spring, the smaller number first, in lexicographic order.
+    - `hinges` (h, 4): nodes x0, x1, x2, x3 of each pair of triangles with a shared edge.
+    - `hinge_edges` (h,), `hinge_faces` (h, 2): rows of the shared edge in `edges`, and of both triangles in
+      `faces`.
+    - `source_nodes` (n,): row of each node in the input.
+    - `edge_length` (e,) in m: rest lengths of eq. 11; `face_area` (f,) in m2.
+    - `hinge_length` (h,) in m: length of the shared edge; `hinge_area` (h,) in m2: area of both triangles
+      (eq. 16); `hinge_height` (h,) in m: their mean height over the shared edge, area / length.
+    - `hinge_weight` (h,): sqrt(3) length^2 / (2 area) of eq. 20, 1 for equilateral triangles.
+    - `rest_curvature` (h,): signed curvature 2 sin(theta/2) at rest (eq. 33), 0 for a flat sheet.
+    - `node_area` (n,) in m2: a third of the area of the triangles at a node.
+
+    The columns of a hinge are as in Fig. 3a and (A.12)-(A.16): e0 = x1 - x0 is the shared edge, e1 = x2 - x0,
+    e2 = x3 - x0, and n1 = e0 x e1, n2 = -e0 x e2 are the normals of its two faces (x0, x1, x2) and (x1, x0,
+    x3), on the same side of the sheet. Its angle theta is positive where the sheet is convex seen from that
+    side. The edge (x0, x1) points as in `edges`.
     """
 
-    vertices: Float[np.ndarray, "nodes 3"]  # (n, 3) rest positions [m], not necessarily flat
-    faces: Int[np.ndarray, "faces 3"]  # (f, 3) nodes of each triangle, consistently oriented
-    edges: Int[np.ndarray, "edges 2"]  # (e, 2) nodes of each spring, first < second, in lexicographic order
-    hinges: Int[np.ndarray, "hinges 4"]  # (h, 4) nodes x0, x1, x2, x3 of each pair of triangles
-    hinge_edges: Int[np.ndarray, " hinges"]  # (h,) row of the shared edge in `edges`
-    hinge_faces: Int[np.ndarray, "hinges 2"]  # (h, 2) rows of the two triangles in `faces`
-    source_nodes: Int[np.ndarray, " nodes"]  # (n,) row of each node in the input
-    edge_length: Float[np.ndarray, " edges"]  # (e,) rest length s_ij of (11) [m]
-    face_area: Float[np.ndarray, " faces"]  # (f,) [m^2]
-    hinge_length: Float[np.ndarray, " hinges"]  # (h,) |e0| [m]
-    hinge_area: Float[np.ndarray, " hinges"]  # (h,) A_bar = A_1 + A_2 of (16) [m^2]
-    hinge_weight: Float[np.ndarray, " hinges"]  # (h,) sqrt(3) |e0|^2 / (2 A_bar) of (20); 1 if equilateral
-    hinge_height: Float[np.ndarray, " hinges"]  # (h,) mean height over the shared edge, A_bar / |e0| [m]
-    rest_curvature: Float[np.ndarray, " hinges"]  # (h,) signed 2 sin(theta / 2) at rest, see (33)
-    node_area: Float[np.ndarray, " nodes"]  # (n,) a third of the area of the incident faces [m^2]
+    vertices: Float[np.ndarray, "nodes 3"]
+    faces: Int[np.ndarray, "faces 3"]
+    edges: Int[np.ndarray, "edges 2"]
+    hinges: Int[np.ndarray, "hinges 4"]
+    hinge_edges: Int[np.ndarray, " hinges"]
+    hinge_faces: Int[np.ndarray, "hinges 2"]
+    source_nodes: Int[np.ndarray, " nodes"]
+    edge_length: Float[np.ndarray, " edges"]
+    face_area: Float[np.ndarray, " faces"]
+    hinge_length: Float[np.ndarray, " hinges"]
+    hinge_area: Float[np.ndarray, " hinges"]
+    hinge_weight: Float[np.ndarray, " hinges"]
+    hinge_height: Float[np.ndarray, " hinges"]
+    rest_curvature: Float[np.ndarray, " hinges"]
+    node_area: Float[np.ndarray, " nodes"]
 
     @classmethod
     def from_arrays(
@@ -70,7 +84,7 @@ class Mesh:
 
         **Arguments:**
 
-        - `vertices`: (m, 2) or (m, 3) rest positions [m]; two columns mean z = 0. Vertices that no face uses
+        - `vertices`: (m, 2) or (m, 3) rest positions in m; two columns mean z = 0. Vertices that no face uses
           are dropped.
         - `faces`: (f, 3) integers. If the orientations of faces disagree, the minority is flipped.
         - `reorder`: number the nodes along a Hilbert curve and sort the faces to match. Neighbours on the
@@ -80,6 +94,13 @@ class Mesh:
         **Raises:** `MeshError` naming the offending nodes or faces of the input: wrong shape or type,
         non-finite position, index out of range, repeated vertex, duplicate face, zero area, edge with more
         than two faces, several components, two fans touching at one node, one-sided surface.
+
+        >>> square = jc.Mesh.from_arrays([[0, 0], [1, 0], [1, 1], [0, 1]], [[0, 1, 2], [0, 2, 3]])
+        >>> square.area, square.edges.tolist()
+        (1.0, [[0, 1], [0, 2], [0, 3], [1, 2], [2, 3]])
+        >>> jc.Mesh.from_arrays([[0, 0], [1, 0], [2, 0]], [[0, 1, 2]])
+        Traceback (most recent call last):
+        jaxcrumple.mesh.files.surface.MeshError: face 0 with nodes (0, 1, 2) near (1, 0, 0) has no area; ...
         """
         x = _checked_vertices(vertices)
         f = _checked_faces(faces, len(x))
@@ -137,8 +158,9 @@ class Mesh:
         return type(self), tuple(getattr(self, name.name) for name in fields(self))
 
     def save(self, path: str | Path) -> None:
-        """Write nodes and triangles; the ending of `path`, one of `FILE_FORMATS`, selects the format.
+        """Write nodes and triangles to a file.
 
+        The ending of `path` selects the format: .vtu, .vtk, .ply, .obj, .off or .msh.
         `Mesh.from_file(path, reorder=False)` reads the same mesh back.
 
         **Raises:** `MeshError` for an unknown ending, `OSError` if the file cannot be written.
@@ -146,7 +168,9 @@ class Mesh:
         write_triangles(path, self.vertices, self.faces)
 
     def with_rest_shape(self, vertices: Points) -> Mesh:
-        """Return the same connectivity with the rest metric of other positions, (n, 3) or (n, 2) [m].
+        """Return the same connectivity with the rest metric of other positions.
+
+        **Arguments:** `vertices`: (n, 3) or (n, 2) in m, in the order of the mesh.
 
         **Raises:** `MeshError` for a wrong shape, a non-finite position or a triangle without area.
         """
@@ -166,7 +190,7 @@ class Mesh:
 
     @property
     def area(self) -> float:
-        """Rest area A [m^2]."""
+        """Rest area A in m2."""
         return float(self.face_area.sum())
 
     @property

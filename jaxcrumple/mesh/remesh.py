@@ -26,6 +26,9 @@ def remeshed(
     more than 20 degrees is a corner and gets a node. `source_nodes` counts the new nodes; the mesh keeps none
     of the old ones.
 
+    **Arguments:** `mesh`: a flat sheet; `nodes`: number of nodes of the new mesh; `seed`, `sweeps` as in
+    `rectangle`.
+
     **Raises:** `MeshError` for a curved sheet, or too few nodes for the outline.
     """
     nodes, seed, sweeps = (

@@ -21,7 +21,10 @@ START_ROUNDING = 1e-9
 
 
 class Gravity(eqx.Module):
-    """Uniform acceleration `g` (3,) in m/s2 on the nodal masses `mass` (n,) in kg."""
+    """Uniform acceleration `g` (3,) in m/s2 on the nodal masses `mass` (n,) in kg.
+
+    **Raises:** ValueError if `g` is not of shape (3,) or not finite.
+    """
 
     g: Float[Array, "3"] = eqx.field(converter=as_float)
     mass: NodeValues = eqx.field(converter=as_float)
@@ -31,7 +34,7 @@ class Gravity(eqx.Module):
         require_finite("g of Gravity", self.g)
 
     def energy(self, x: NodeVectors) -> Scalar:
-        """Potential energy in J, zero at the origin."""
+        """Potential energy in J at positions `x` (n, 3) in m, zero for nodes at the origin."""
         return -jnp.sum(self.force() * x)
 
     def force(self) -> NodeVectors:
@@ -40,15 +43,22 @@ class Gravity(eqx.Module):
 
 
 class AbstractMotion(eqx.Module):
-    """Positions of the nodes as a smooth function of time."""
+    """Positions of the nodes as a smooth function of time: subclass it with `__call__(t)`.
+
+    `__call__` returns the positions (n, 3) in m at time t in s. `Prescribed` takes velocities and
+    accelerations from its derivatives.
+    """
 
     @abc.abstractmethod
     def __call__(self, t: Scalar | float) -> NodeVectors:
-        """Positions (n, 3) in m at time `t`; only prescribed components are used."""
+        """Positions (n, 3) in m at time `t` in s; only prescribed components are used."""
 
 
 class LinearMotion(AbstractMotion):
-    """Uniform motion: `position` (n, 3) in m at t = 0 and `velocity` (n, 3) or (3,) in m/s."""
+    """Uniform motion: `position` (n, 3) in m at t = 0 and `velocity` (n, 3) or (3,) in m/s.
+
+    **Raises:** ValueError for another shape, or a number that is not finite.
+    """
 
     position: NodeVectors = eqx.field(converter=as_float)
     velocity: NodeVectors | Float[Array, "3"] = eqx.field(converter=as_float)
@@ -91,6 +101,16 @@ class Prescribed(eqx.Module):
     step ends there.
 
     A start must lie on the motion: `position(x, t)` moves it there. Velocities follow the motion.
+
+    **Raises:** ValueError for a mask that is not bool or not (n, 3), a motion of another shape, or a release
+    time that is NaN or of another shape.
+
+    >>> mesh = jc.hexagonal(5, 4, 2e-3)
+    >>> left = mesh.vertices[:, 0] < mesh.vertices[:, 0].min() + 2.5e-3
+    >>> mask = np.repeat(left[:, None], 3, axis=1)
+    >>> clamp = jc.Prescribed(mask, jc.LinearMotion(mesh.vertices, (0.0, 0.0, 0.0)), until=1.0)
+    >>> int(clamp.held(0.5).sum()), int(clamp.held(2.0).sum())  # components, released after 1 s
+    (24, 0)
     """
 
     mask: Bool[Array, "nodes 3"] = eqx.field(converter=_as_mask)
@@ -115,19 +135,19 @@ class Prescribed(eqx.Module):
             )
 
     def held(self, t: Scalar | float) -> Bool[Array, "nodes 3"]:
-        """Components (n, 3) that are prescribed at time `t`, with a tolerance for rounding."""
+        """Components (n, 3) that are prescribed at time `t` in s, with a tolerance for rounding."""
         return self.mask & (t <= (1.0 + ROUNDING) * self.until)
 
     def position(self, x: NodeVectorsLike, t: Scalar | float) -> NodeVectors:
-        """`x` (n, 3) with the positions of the prescribed components inserted."""
+        """Positions `x` (n, 3) in m with those of the components prescribed at time `t` inserted."""
         return jnp.where(self.held(t), self.motion(t), x)
 
     def velocity(self, v: NodeVectors, t: Scalar) -> NodeVectors:
-        """`v` (n, 3) with the velocities of the prescribed components inserted."""
+        """Velocities `v` (n, 3) in m/s with those of the components prescribed at time `t` inserted."""
         return jnp.where(self.held(t), _derivative(self.motion, t), v)
 
     def acceleration(self, a: NodeVectors, t: Scalar) -> NodeVectors:
-        """`a` (n, 3) with the accelerations of the prescribed components inserted."""
+        """Accelerations `a` (n, 3) in m/s2 with those of the prescribed components inserted."""
         return jnp.where(self.held(t), _derivative(lambda s: _derivative(self.motion, s), t), a)
 
     def free(self, residual: NodeVectors, t: Scalar) -> NodeVectors:
@@ -214,6 +234,16 @@ class ElementEnergy(eqx.Module):
     - `nodes`: (m, k) node numbers of the m elements.
     - `function`: `function(x, parameters, t)` -> energy in J of one element, with `x` (k, 3) in m.
     - `parameters`: any pytree of arrays with leading axis m, sliced for each element (or None).
+
+    **Raises:** ValueError for node numbers that are not integers (m, k) or repeat a node in one element, a
+    function that is not callable, or parameters of another length.
+
+    >>> def spring(x, stiffness, t):
+    ...     return 0.5 * stiffness * jnp.sum((x[1] - x[0]) ** 2)
+    >>> tie = jc.ElementEnergy([[0, 2]], spring, jnp.array([3.0]))  # nodes 0 and 2, 3 N/m
+    >>> x = jnp.array([[0.0, 0.0, 0.0], [0.5, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    >>> print(tie.energy(x, 0.0), tie.force(x, 0.0)[:, 0])
+    1.5 [ 3.  0. -3.]
     """
 
     nodes: Integer[Array, "elements corners"] = eqx.field(converter=_as_elements)
@@ -240,15 +270,18 @@ class ElementEnergy(eqx.Module):
         return jax.vmap(transform(self.function), (0, 0, None))(x[self.nodes], self.parameters, t)
 
     def energy(self, x: NodeVectors, t: Scalar | float) -> Scalar:
-        """Energy in J at positions `x` (n, 3) and time `t`."""
+        """Energy in J at positions `x` (n, 3) in m and time `t` in s."""
         return jnp.sum(self._map(lambda f: f, x, t))
 
     def force(self, x: NodeVectors, t: Scalar | float) -> NodeVectors:
-        """Nodal forces (n, 3) in N."""
+        """Nodal forces (n, 3) in N at positions `x` (n, 3) in m and time `t` in s."""
         return jnp.zeros_like(x).at[self.nodes].add(-self._map(jax.grad, x, t))
 
     def blocks(self, x: NodeVectors, t: Scalar | float) -> Float[Array, "pairs 3 3 elements"]:
-        """Element Hessians (pairs, 3, 3, m) in N/m, blocks ordered as `upper_pairs(k)`."""
+        """Element Hessians (pairs, 3, 3, m) in N/m.
+
+        Pairs of corners are in the order of the upper triangle: (0, 0), (0, 1), ..., (1, 1), ...
+        """
         hessian = self._map(jax.hessian, x, t)
         pairs = upper_pairs(self.nodes.shape[1])
         return jnp.stack([jnp.moveaxis(hessian[:, a, :, b, :], 0, -1) for a, b in pairs])

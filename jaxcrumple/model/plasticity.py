@@ -19,10 +19,11 @@ Bracket = tuple[HingeValues, HingeValues, HingeValues, HingeValues, Count | int]
 
 
 class AbstractFlowRule(eqx.Module):
-    """A yield law: dp/dt as a function of the curvature c and the rest curvature p.
+    """A yield law: dp/dt as a function of the curvature c and the rest curvature p, for each hinge.
 
-    `rate` must have the sign of c - p (or vanish) and must not decrease with c - p. It may depend on
-    per-hinge parameters stored as array fields. The solvers require nothing else of a user-defined law.
+    Subclass it with one method, `rate`. `rate` must have the sign of c - p (or vanish) and must not decrease
+    with c - p. It may depend on per-hinge parameters stored as array fields. The solvers require nothing else
+    of a user-defined law.
     """
 
     @abc.abstractmethod
@@ -31,12 +32,21 @@ class AbstractFlowRule(eqx.Module):
 
 
 class SmoothstepFlow(AbstractFlowRule):
-    """The paper's law with an explicit time scale.
+    """The paper's law (eqs. 34-36) with an explicit time scale.
 
-    $\\dot p = \\mathrm{sign}(c-p)\\, S((|c-p| - c_0)/(2 - c_0)) / (T (1 + \\gamma))$ with the smoothstep S.
-    The paper has no T (its rate has no unit). Only the product $T(1+\\gamma)$ enters.
+    dp/dt = sign(c - p) S((abs(c - p) - c0) / (2 - c0)) / (T (1 + gamma)), with the smoothstep S(u) = 6 u^5 -
+    15 u^4 + 10 u^3 between 0 and 1. The paper has no T (its rate has no unit). Only the product T (1 + gamma)
+    enters.
 
-    **Arguments:** `yield_threshold` (h,) dimensionless $c_0 < 2$; `time` T in s; `gamma` >= 0.
+    **Arguments:** `yield_threshold`: c0 < 2, dimensionless; `time`: T in s; `gamma` >= 0, dimensionless; each
+    is one number or (h,).
+
+    **Raises:** ValueError for a negative number, a time of 0, or a threshold of 2 or more.
+
+    >>> law = jc.SmoothstepFlow(yield_threshold=0.3, time=1e-3, gamma=0.0)
+    >>> c, p = jnp.array([0.2, 1.15, 2.0]), jnp.zeros(3)
+    >>> print(law.rate(c, p))  # 1/s: below the threshold, halfway to c = 2, and at c = 2
+    [   0.  500. 1000.]
     """
 
     yield_threshold: Scalar | HingeValues = eqx.field(converter=as_float)
@@ -54,7 +64,7 @@ class SmoothstepFlow(AbstractFlowRule):
             )
 
     def rate(self, c: HingeValues, p: HingeValues) -> HingeValues:
-        """dp/dt in 1/s (eqs. 34-36)."""
+        """dp/dt in 1/s for curvatures `c` and rest curvatures `p`, both (h,) (eqs. 34-36)."""
         elastic = c - p
         excess = (jnp.abs(elastic) - self.yield_threshold) / (2.0 - self.yield_threshold)
         return jnp.sign(elastic) * smoothstep(excess) / (self.time * (1.0 + self.gamma))

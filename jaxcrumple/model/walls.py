@@ -36,6 +36,12 @@ class Ramp(eqx.Module):
     """A linear function of time, `start` + `rate` * t, constant after the time `until` in s.
 
     Any callable module of t may replace it.
+
+    **Raises:** ValueError if an argument is not one number.
+
+    >>> radius = jc.Ramp(0.05, -0.01, until=1.0)  # from 5 cm, shrinking at 1 cm/s for 1 s
+    >>> [round(float(radius(t)), 3) for t in (0.0, 0.5, 3.0)]
+    [0.05, 0.045, 0.04]
     """
 
     start: Scalar = eqx.field(converter=as_float)
@@ -55,6 +61,12 @@ class PiecewiseLinear(eqx.Module):
     """A piecewise linear function of time with `values` (m,) at `times` (m,) in s.
 
     It is constant before the first and after the last time.
+
+    **Raises:** ValueError if `values` and `times` differ in shape, or times decrease.
+
+    >>> radius = jc.PiecewiseLinear([0.0, 1.0, 3.0], [0.05, 0.04, 0.05])
+    >>> [round(float(radius(t)), 3) for t in (0.5, 2.0, 9.0)]
+    [0.045, 0.045, 0.05]
     """
 
     times: Float[Array, " corners"] = eqx.field(converter=as_float)
@@ -80,11 +92,17 @@ def of_time(value: ScalarLike | OfTime) -> OfTime:
 
 
 class AbstractShape(eqx.Module):
-    """The geometry of a wall."""
+    """The geometry of a wall: subclass it with one method, `gap`.
+
+    `gap` needs two derivatives near the wall, and slope 1 at its surface.
+    """
 
     @abc.abstractmethod
     def gap(self, point: Float[Array, "3"], t: Scalar | float) -> Scalar:
-        """Signed distance in m from the `point` (3,) to the wall at time `t`; positive inside."""
+        """Signed distance in m from `point` (3,) in m to the wall at time `t` in s.
+
+        It is positive on the side of the sheet.
+        """
 
 
 def _check_vectors(shape: AbstractShape, *points: str, unit: str | None = None) -> None:
@@ -103,7 +121,15 @@ def _check_vectors(shape: AbstractShape, *points: str, unit: str | None = None) 
 
 
 class Sphere(AbstractShape):
-    """The inside of a sphere: `center` (3,) in m, `radius` in m, a number or a callable of time."""
+    """The inside of a sphere: `center` (3,) in m, `radius` in m, a number or a callable of time.
+
+    **Raises:** ValueError if `center` is not of shape (3,).
+
+    >>> sphere = jc.Sphere((0.0, 0.0, 0.0), jc.Ramp(0.05, -0.01))
+    >>> point = jnp.array([0.0, 0.03, 0.0])
+    >>> round(float(sphere.gap(point, 1.0)), 6)  # m to the wall, after 1 s
+    0.01
+    """
 
     center: Float[Array, "3"] = eqx.field(converter=as_float)
     radius: OfTime = eqx.field(converter=of_time)
@@ -113,7 +139,7 @@ class Sphere(AbstractShape):
 
     # Of the shape of `radius(t)`: `check_surroundings` refuses all but one number.
     def gap(self, point: Float[Array, "3"], t: Scalar | float) -> Float[Array, "..."]:
-        """Radius minus distance from the centre."""
+        """Radius minus distance of `point` (3,) from the centre at time `t`, in m."""
         offset = point - self.center
         return self.radius(t) - jnp.sqrt(dot(offset, offset) + TINY)
 
@@ -121,7 +147,9 @@ class Sphere(AbstractShape):
 class Cylinder(AbstractShape):
     """The inside of an infinite cylinder through `center` (3,) along the unit vector `axis` (3,).
 
-    `radius` in m is a number or a callable of time.
+    Lengths are in m; `radius` is a number or a callable of time.
+
+    **Raises:** ValueError for a vector that is not of shape (3,), or an `axis` whose length is not 1.
     """
 
     center: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -132,16 +160,18 @@ class Cylinder(AbstractShape):
         _check_vectors(self, "center", unit="axis")
 
     def gap(self, point: Float[Array, "3"], t: Scalar | float) -> Scalar:
-        """Radius minus distance from the axis."""
+        """Radius minus distance of `point` (3,) from the axis at time `t`, in m."""
         offset = point - self.center
         radial = offset - dot(offset, self.axis) * self.axis
         return self.radius(t) - jnp.sqrt(dot(radial, radial) + TINY)
 
 
 class Plane(AbstractShape):
-    """The half space $\\hat n \\cdot x > $ `offset`(t), with unit `normal` (3,) pointing inside.
+    """The half space `normal` . x > `offset`, whose unit vector `normal` (3,) points to the sheet.
 
     `offset` in m is a number or a callable of time.
+
+    **Raises:** ValueError for a `normal` that is not of shape (3,), or whose length is not 1.
     """
 
     normal: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -151,14 +181,18 @@ class Plane(AbstractShape):
         _check_vectors(self, unit="normal")
 
     def gap(self, point: Float[Array, "3"], t: Scalar | float) -> Scalar:
-        """Height above the plane."""
+        """Height of `point` (3,) above the plane at time `t`, in m."""
         return dot(self.normal, point) - self.offset(t)
 
 
 class Cone(AbstractShape):
     """The inside of a cone of half angle `half_angle` (rad), opening from its tip along `axis`.
 
-    The tip is at `center` + `height` * `axis`; `height` in m is a number or a callable of time.
+    The tip is at `center` + `height` * `axis`, with `center` (3,) in m and the unit vector `axis` (3,).
+    `height` in m is a number or a callable of time.
+
+    **Raises:** ValueError for a vector that is not of shape (3,), an `axis` whose length is not 1, or an
+    angle outside (0, pi/2).
     """
 
     center: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -176,7 +210,7 @@ class Cone(AbstractShape):
             )
 
     def gap(self, point: Float[Array, "3"], t: Scalar | float) -> Scalar:
-        """Distance from the cone's surface."""
+        """Signed distance of `point` (3,) from the cone's surface at time `t`, in m."""
         offset = point - self.center
         along = dot(offset, self.axis)
         radial = offset - along * self.axis
@@ -187,7 +221,10 @@ class Cone(AbstractShape):
 class Ball(AbstractShape):
     """The outside of a ball of `radius` in m with its centre at `center` + `height` * `axis`.
 
-    `height` in m is a number or a callable of time, `axis` a unit vector (3,).
+    `height` in m is a number or a callable of time, `center` (3,) is in m, `axis` a unit vector (3,).
+
+    **Raises:** ValueError for a vector that is not of shape (3,), an `axis` whose length is not 1, or a
+    `radius` that is not positive.
     """
 
     center: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -200,7 +237,7 @@ class Ball(AbstractShape):
         require_numbers("radius of Ball", self.radius, positive=True)
 
     def gap(self, point: Float[Array, "3"], t: Scalar | float) -> Scalar:
-        """Distance from the centre minus radius."""
+        """Distance of `point` (3,) from the centre minus radius at time `t`, in m."""
         offset = point - self.center - self.height(t) * self.axis
         return jnp.sqrt(dot(offset, offset) + TINY) - self.radius
 
@@ -208,9 +245,12 @@ class Ball(AbstractShape):
 class HoledPlate(AbstractShape):
     """A plate with a round hole whose rim is rounded.
 
-    The mid-plane of the plate passes through `center` (3,), normal to the unit vector `axis` (3,). The rim
-    has the rounding radius `edge` in m, and the plate the thickness 2 * `edge`. `radius` in m is the clear
-    radius of the hole, a number or a callable of time.
+    The mid-plane of the plate passes through `center` (3,) in m, normal to the unit vector `axis` (3,). The
+    rim has the rounding radius `edge` in m, and the plate the thickness 2 * `edge`. `radius` in m is the
+    clear radius of the hole, a number or a callable of time.
+
+    **Raises:** ValueError for a vector that is not of shape (3,), an `axis` whose length is not 1, or a
+    negative `edge`.
     """
 
     center: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -223,7 +263,7 @@ class HoledPlate(AbstractShape):
         require_numbers("edge of HoledPlate", self.edge)
 
     def gap(self, point: Float[Array, "3"], t: Scalar | float) -> Scalar:
-        """Distance from the plate's surface."""
+        """Signed distance of `point` (3,) from the plate's surface at time `t`, in m."""
         offset = point - self.center
         along = dot(offset, self.axis)
         radial = offset - along * self.axis
@@ -240,13 +280,22 @@ def wall_law(nearness: Scalar) -> Scalar:
 
 
 class Wall(eqx.Module):
-    """A shape and its stiffness.
+    """A shape, its stiffness and its range.
+
+    At the gap d a node has the energy kw sigma^2 s^3 / (3 (1 - s)) with the nearness s = 1 - d/sigma > 0. The
+    force starts smoothly at d = sigma, as kw sigma s^2, and grows without bound towards the wall. The paper
+    gives no law for its walls.
 
     **Arguments:**
 
     - `shape`: an `AbstractShape`.
-    - `stiffness`: (n,) $k_w$ of each node in N/m; scale it with the node's area.
-    - `range`: $\\sigma$ in m, the gap at which the wall starts to push.
+    - `stiffness`: (n,) kw of each node in N/m; scale it with the node's area.
+    - `range`: sigma in m, the gap at which the wall starts to push.
+
+    >>> wall = jc.Wall(jc.Plane((0.0, 0.0, 1.0), 0.0), [100.0], 1e-3)
+    >>> x = jnp.array([[0.0, 0.0, 0.5e-3]])  # one node, half a range above the plane
+    >>> print(f"{wall.gap(x, 0.0)[0]:.4f} m, {wall.force(x, 0.0)[0, 2]:.4f} N")
+    0.0005 m, 0.0667 N
     """
 
     shape: AbstractShape
@@ -254,7 +303,7 @@ class Wall(eqx.Module):
     range: Scalar = eqx.field(converter=as_float)
 
     def node_energy(self, x: NodeVectors, t: Scalar | float) -> NodeValues:
-        """Energy of each node (n,) in J."""
+        """Energy of each node (n,) in J at positions `x` (n, 3) in m and time `t` in s."""
         return jax.vmap(self._energy, (0, 0, None))(x, self.stiffness, t)
 
     def _energy(self, point: Float[Array, "3"], stiffness: Scalar, t: Scalar | float) -> Scalar:
@@ -262,19 +311,19 @@ class Wall(eqx.Module):
         return stiffness * self.range**2 * wall_law(nearness)
 
     def energy(self, x: NodeVectors, t: Scalar | float) -> Scalar:
-        """Energy in J at positions `x` (n, 3) and time `t`."""
+        """Energy in J at positions `x` (n, 3) in m and time `t` in s."""
         return jnp.sum(self.node_energy(x, t))
 
     def gap(self, x: NodeVectors, t: Scalar | float) -> NodeValues:
-        """Signed gap of each node (n,) in m; negative means the node is behind the wall."""
+        """Signed gap of each node (n,) in m; a node with a negative gap is behind the wall."""
         return jax.vmap(self.shape.gap, (0, None))(x, t)
 
     def force(self, x: NodeVectors, t: Scalar | float) -> NodeVectors:
-        """Nodal forces (n, 3) in N."""
+        """Nodal forces (n, 3) in N at positions `x` (n, 3) in m and time `t` in s."""
         return -jax.vmap(jax.grad(self._energy), (0, 0, None))(x, self.stiffness, t)
 
     def stiffness_bound(self, x: NodeVectors, t: Scalar | float) -> NodeValues:
-        """Largest stiffness of each node (n,) in N/m."""
+        """Largest eigenvalue of the Hessian of each node (n,) in N/m, along the wall's normal."""
         nearness = jnp.maximum(1.0 - self.gap(x, t) / self.range, 0.0)
         return self.stiffness * jax.vmap(jax.grad(jax.grad(wall_law)))(nearness)
 

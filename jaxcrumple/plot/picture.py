@@ -37,7 +37,7 @@ FILMS = (".gif", ".mp4")
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A picture that a notebook shows; `dpi`: dots per inch of its file."""
+    """A picture that a notebook shows: a Matplotlib `figure`, and the dots per inch `dpi` of its file."""
 
     figure: Figure
     dpi: int = DPI
@@ -76,12 +76,13 @@ def picture(
     pixels: int | None = None,
     width: float | str | None = None,
 ) -> Picture:
-    """Draw a frame of a run, by index, in space.
+    """Draw a frame of a run in space.
 
-    **Arguments:** `field`: "curvature", "damage", "strain", "contact", or "paper" for the shape alone;
-    `walls`: whether to show the walls of a named scene; `view` (3,): direction from the sheet to the camera,
-    with `up` (3,) vertical; `pixels`: of the longer side of the sheet, by default 820, or 300 an inch in
-    print; `width`: for print, in m or with a unit, such as "86 mm": no caption, letters of at most 8 points.
+    **Arguments:** `frame`: index of the frame, -1 for the last; `field`: "curvature", "damage", "strain",
+    "contact", or "paper" for the shape alone; `walls`: whether to show the walls of a named scene; `view`
+    (3,): direction from the sheet to the camera, with `up` (3,) vertical; `pixels`: of the longer side of the
+    sheet, by default 820, or 300 an inch in print; `width`: for print, in m or with a unit, such as "86 mm":
+    no caption, letters of at most 8 points.
 
     **Raises:** ValueError for an unknown field, a frame that the run does not have, a `view` along `up`, or a
     width that is not a positive length.
@@ -113,7 +114,8 @@ def film(
 
     An MP4 needs the extra `film` (PyAV).
 
-    **Arguments:** `frames`: indices, by default all; `rate`: frames per second; others as of `picture`.
+    **Arguments:** `frames`: indices, by default all; `rate`: frames per second; `field`, `walls`, `view`,
+    `up`, `pixels` as of `picture`.
 
     **Raises:** as `picture`; ValueError for another extension, ImportError without the extra.
     """

@@ -18,10 +18,11 @@ if TYPE_CHECKING:
 def polydata(
     run: Run, frame: int = -1, *, fields: Sequence[str] = ("curvature", "damage", "strain")
 ) -> pyvista.PolyData:
-    """Return a frame of a run, by index, as a PyVista mesh with positions in m.
+    """Return a frame of a run as a PyVista mesh with positions in m.
 
-    **Arguments:** `fields`: names as of `picture`, with the same units; each is an array of the points or
-    of the triangles. Show one by `polydata(run).plot(scalars="damage")`.
+    **Arguments:** `frame`: index of the frame, -1 for the last; `fields`: names as of `picture`, with the
+    same units; each is an array of the points or of the triangles. Show one by
+    `polydata(run).plot(scalars="damage")`.
 
     **Raises:** ImportError without the extra `view`; ValueError for an unknown field, or a frame that the run
     does not have.

@@ -52,10 +52,11 @@ class Steps(eqx.Module):
 class Record(eqx.Module):
     """Hold the accepted steps of a run; `simulate(..., record=True)` builds it for `replay`.
 
-    `scene` of the run, and its first state `start`; `t` (f,) s: times of the frames; `steps`; `lists`:
-    contact lists of the stretches, or None without contact; `explicit`, `linear`, `rho_infinity` and
-    `inertia`: as in the run's solver; `stages`: stages of the steps; `snaps` (64,) s: times at which snaps
-    begin, padded with infinity.
+    - `scene` of the run, and its first state `start`; `t` (f,) in s: times of the frames.
+    - `steps`: sizes, orders, stages and positions of all steps; `stages` that occur in them.
+    - `lists`: contact lists of each stretch of steps, or None without contact.
+    - `explicit`, `linear`, `rho_infinity`, `inertia`: as in the run's solver.
+    - `snaps` (64,) in s: times at which snaps begin, padded with infinity.
     """
 
     scene: Scene

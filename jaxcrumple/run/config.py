@@ -184,11 +184,20 @@ def configure(
 ) -> RunConfig:
     """Configure a run of a named scene.
 
-    **Arguments:** `settings`: options of scene, material or solver, as "key=value" strings or as a mapping;
-    `t_end`: end time, by default that of the scene. Numbers are in SI units; strings may carry a unit,
-    e.g. "0.25 mm".
+    **Arguments:** `scene`: its name, or "file.py:function"; `nodes`, `seed` of the random mesh; `settings`:
+    options of scene, material or solver, as "key=value" strings or as a mapping; `t_end`: end time, by
+    default that of the scene. Numbers are in SI units; strings may carry a unit, e.g. "0.25 mm".
+
+    **Returns:** a `RunConfig` for `start_run`.
 
     **Raises:** `ConfigError` for an unknown scene, key or value.
+
+    >>> run = jc.configure("radial", nodes=300, settings={"thickness": "0.1 mm", "rtol": 1e-3})
+    >>> run.material.thickness, run.solver.rtol, run.options["radius"], run.t_end  # m, -, m, s
+    (0.0001, 0.001, 0.071, 2.6)
+    >>> jc.configure("radial", settings={"thicknes": 1e-4})
+    Traceback (most recent call last):
+    jaxcrumple.options.validation.ConfigError: ...
     """
     top = {"scene": scene, "nodes": nodes, "seed": seed}
     return complete(with_settings(top | ({} if t_end is None else {"t_end": t_end}), settings))

@@ -86,10 +86,11 @@ def start_run(
 ) -> dict[str, Any]:
     """Run a configuration, or a `Setup` with an end time, into a new folder `out` and return the summary.
 
-    **Arguments:** `solver`: options of the solver for a `Setup`, e.g. `{"rtol": 1e-3}`; a configuration has
-    its own. `max_seconds`: wall time, without compile time, after which the run ends with the result
-    "budget"; `resume_run` continues it. `wait`: whether to wait for another process that writes into the
-    folder, instead of refusing.
+    **Arguments:** `run`: of `configure`, `grid` or `read_scene_file`, or a `Setup`; `observers`: each an
+    `Observer` of the run; `solver`: options of the solver for a `Setup`, e.g. `{"rtol": 1e-3}`; a
+    configuration has its own. `max_seconds`: wall time, without compile time, after which the run ends with
+    the result "budget", and `resume_run` continues it; `wait`: whether to wait for another process that
+    writes into the folder, instead of refusing.
 
     **Raises:** `RunDirectoryError` if `out` exists or cannot be written; ValueError for impossible options,
     or a sheet that starts behind a wall or intersects itself. Both occur before the run begins and leave
@@ -122,8 +123,8 @@ def resume_run(
 
     This first verifies all files of the run. For a successful run it only reads the summary.
 
-    **Arguments:** `setup`: the `Setup` of a run that began with one, built again. `max_seconds`, `wait`: as
-    in `start_run`.
+    **Arguments:** `setup`: the `Setup` of a run that began with one, built again; `observers`, `max_seconds`,
+    `wait`: as in `start_run`.
 
     **Raises:** `RunDirectoryError` if `out` is not a run, is damaged, or another process writes into it;
     ValueError if the options, or `setup`, no longer build the original scene.

@@ -40,7 +40,7 @@ def read_scene_file(
 
 
 def write_scene_file(config: RunConfig | Mapping[str, Any], path: str | Path) -> None:
-    """Write a complete configuration, e.g. `Run.config` of a loaded run, as a scene file.
+    """Write a complete configuration `config`, e.g. `Run.config` of a loaded run, as a scene file.
 
     `read_scene_file` reads it back as an equal configuration.
 

@@ -38,17 +38,20 @@ def arch(
 
     The nodes of the middle row share the load, which points down (-z). The load grows linearly during the
     time `ramp` and then stays constant. The arch snaps at a symmetric limit point, not by asymmetric
-    buckling: its compression there is at most $(2.7 \\pi/L)^2 B$, below the $(2.86 \\pi/L)^2 B$ of asymmetric
-    buckling. For a rise f of many thicknesses the limit load is near $237 B f/L^3$, with span L and the
-    bending stiffness $B = (8/9) \\kappa W$ of a narrow strip (shallow-arch theory). That is 0.14 N for the
+    buckling: its compression there is at most (2.7 pi/L)^2 B, below the (2.86 pi/L)^2 B of asymmetric
+    buckling. For a rise f of many thicknesses the limit load is near 237 B f / L^3, with span L and the
+    bending stiffness B = (8/9) kappa W of a narrow strip (shallow-arch theory). That is 0.14 N for the
     default values; the default mesh and imperfection give 0.126 N. The inverted arch supports at least half
     of that load.
 
     **Arguments:** `nodes`: approximate number of nodes of a triangular lattice with rows across the strip;
-    `length`, `width`, `rise` in m; `load` in N; `ramp` in s; `imperfection`: largest height in m of a smooth,
-    stress-free deviation from the circle, random with `seed`; `plastic`: whether the sheet may yield;
+    `length`, `width`, `rise` in m; ``load`` in N; `ramp` in s; `imperfection`: largest height in m of a
+    smooth, stress-free deviation from the circle, random with `seed`; `plastic`: whether the sheet may yield;
     `damping`: "central" or "paper"; `material`: default `Material()`. The last two rows at each end are
     fixed; the ends of `length` lie midway between these two rows.
+
+    **Raises:** ValueError for lengths, a load or a time that are not positive, a negative imperfection, or a
+    rise above half the length.
     """
     check_positive(length=length, width=width, rise=rise, load=load, ramp=ramp)
     if not (np.isfinite(imperfection) and imperfection >= 0):

@@ -74,6 +74,8 @@ def cylindrical(
 ) -> Setup:
     """Build a square sheet, rolled up in a cylinder, that two planes compress along the axis.
 
+    It is the cylindrical confinement of Fig. 7.
+
     **Arguments:** `nodes`, `seed`: number of nodes and seed of the random mesh; `size`: edge of the sheet,
     `radius` of the cylinder, `height` after the compression in m; `compress`: duration in s; `options` of the
     sheet: `SheetOptions`.
@@ -123,7 +125,8 @@ def axial(
 ) -> Setup:
     """Build a square sheet that is repeatedly rolled up, compressed, unfolded and flattened.
 
-    Damage accumulates over the cycles.
+    Damage accumulates over the cycles, as in Fig. 9 and the experiment of Gottesman et al., Commun. Phys. 1
+    (2018) 70.
 
     **Arguments:** `nodes`, `seed`: number of nodes and seed of the random mesh; `cycles`: number of cycles;
     `size`: edge of the sheet, `radius` of the roll, `height` after the compression, `gap` between the

@@ -40,8 +40,11 @@ def cap(
     from the apex selects the direction in which the cap tilts during the snap.
 
     **Arguments:** `nodes`, `seed`, `sweeps`: number of nodes, seed and Lloyd sweeps of the random mesh;
-    `radius` of the rim, `rise`, `patch` and `offset` (along x) in m; `load` in N; `ramp` in s; `plastic`:
+    `radius` of the rim, `rise`, `patch` and `offset` (along x) in m; ``load`` in N; `ramp` in s; `plastic`:
     whether the sheet may yield; `damping`: "central" or "paper"; `material`: default `Material()`.
+
+    **Raises:** ValueError for lengths, a load or a time that are not positive, a rise above the radius, or a
+    load that reaches no free node.
     """
     check_positive(radius=radius, rise=rise, load=load, patch=patch, ramp=ramp)
     if not np.isfinite(offset):

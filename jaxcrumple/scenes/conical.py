@@ -49,6 +49,8 @@ def conical(
 ) -> Setup:
     """Build a disc on a plate with a hole; its middle is pulled through the hole.
 
+    It is the conical confinement of Fig. 7 (Mellado, Cheng & Concha, Phys. Rev. E 83 (2011) 036607).
+
     **Arguments:** `nodes`, `seed`: number of nodes and seed of the random mesh; `radius` of the disc,
     `opening`: radius of the hole, `edge`: fillet radius of its rim, `pull`: distance of the pull, `grip`:
     radius of the pulled region, all in m; `speed` of the pull in m/s; `options` of the sheet: `SheetOptions`.

@@ -36,6 +36,9 @@ def dcone(
 ) -> Setup:
     """Build a disc that is held at its middle while a hollow cone rises around it.
 
+    It bends to a developable cone (Cerda & Mahadevan, Phys. Rev. Lett. 80 (1998) 2358). `free_sector`
+    measures its angle.
+
     **Arguments:** `nodes`, `seed`: number of nodes and seed of the random mesh; `radius` of the disc in m;
     `slope` of the cone's side; `speed` of the cone in m/s; `options` of the sheet: `SheetOptions`.
 
@@ -66,10 +69,12 @@ def dcone_time(radius: float, slope: float, speed: float) -> float:
 def free_sector(setup: Setup, x: Float[np.ndarray, "nodes 3"], t: float) -> float:
     """Return the angle in rad of the sector in which a d-cone is off its cone.
 
-    `x` (n, 3): positions in m; `t`: time in s. The relative height is the height over the cone divided by the
-    distance from the middle. At both ends of the sector it grows as the cube of the angle, since the force
-    there is concentrated. A fit with the third and fourth powers of the angle finds the ends. A threshold of
-    the height would miss them by its cube root.
+    For a shallow cone it is about 139 degrees (Cerda & Mahadevan, Proc. R. Soc. A 461 (2005) 671). The
+    relative height is the height over the cone divided by the distance from the middle. At both ends of the
+    sector it grows as the cube of the angle, since the force there is concentrated. A fit with the third and
+    fourth powers of the angle finds the ends. A threshold of the height would miss them by its cube root.
+
+    **Arguments:** `setup`: of `dcone`; `x` (n, 3): positions in m; `t`: time in s.
     """
     flat = np.linalg.norm(setup.mesh.vertices[:, :2], axis=1)
     share = flat / flat.max()

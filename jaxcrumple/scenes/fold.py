@@ -97,11 +97,11 @@ def fold(
     Strips along two opposite edges are held. One strip is fixed; the other rotates about the middle line
     during `close` until it lies over the first. The upper plate then descends during `press` and flattens the
     loop to a crease. After the time `hold` strips and plates release the sheet, and it springs open. Drag
-    brings it to rest during `relax`. `fold_angle` measures the remaining angle.
+    brings it to rest during ``relax``. `fold_angle` measures the remaining angle, as in Fig. 3b.
 
     **Arguments:** `nodes`, `seed`, `sweeps`: number of nodes, seed and Lloyd sweeps of the random mesh;
     `size`: edge of the sheet in m; `gap` between the plates in m, by default 6 mm, or twice the node distance
-    if that is larger; `close`, `press`, `hold`, `relax` in s; `material`: default `Material()`.
+    if that is larger; `close`, `press`, `hold`, ``relax`` in s; `material`: default `Material()`.
 
     **Raises:** ValueError for lengths or times that are not positive, or a gap of at most two thicknesses.
     """
@@ -142,7 +142,8 @@ def plates(size: float, gap: float, times: FoldTimes) -> list[Plane]:
 def fold_angle(mesh: Mesh, x: NodeVectors) -> Scalar:
     """Return the angle in rad between the halves of a folded sheet at `x` (n, 3) in m: pi for a flat sheet.
 
-    The angle is that between the mean normals of both halves, away from the fold, and is smooth in `x`.
+    It is the angle phi_f of Fig. 3b. The `mesh` is that of the scene `fold`, whose fold lies at x = 0. The
+    angle is that between the mean normals of both halves, away from the fold, and is smooth in `x`.
     """
     side = np.sign(mesh.vertices[mesh.faces, 0])
     away = np.abs(mesh.vertices[mesh.faces, 0]).min(axis=1) > FLAT * np.ptp(mesh.vertices[:, 0])

@@ -27,12 +27,18 @@ def radial(
 ) -> Setup:
     """Build a square sheet in a sphere that shrinks at constant speed.
 
+    It is the radial confinement of Figs. 5, 6 and 8.
+
     **Arguments:** `nodes`, `seed`: number of nodes and seed of the random mesh; `size`: edge of the sheet,
     `radius`: initial radius of the sphere in m; `speed` in m/s; `hold`: time in s at which the sphere stops;
     `options` of the sheet: `SheetOptions`.
 
     **Raises:** ValueError for lengths or a speed that are not positive, a sheet that does not fit, or a
     `hold` later than the time of zero radius.
+
+    >>> setup = jc.radial(60, speed=0.02, contact=None)  # a phantom sheet, which passes through itself
+    >>> print(setup.x.shape, f"{setup.scene.walls[0].shape.radius(1.0):.3f} m")  # after 1 s
+    (60, 3) 0.051 m
     """
     check_positive(size=size, radius=radius, speed=speed)
     if hold is not None and not 0 < hold * speed < radius:
@@ -64,7 +70,8 @@ def unload(
     The sphere shrinks from `radius` to `least` at `speed`, rests for the time `hold`, and expands at the same
     speed. The scene shows the hysteresis of the wall force and the springback of the sheet.
 
-    **Arguments:** as in `radial`, except `least` in m, `hold` in s.
+    **Arguments:** `least`: smallest radius in m; `hold`: time in s at that radius; `size`, `radius`, `speed`
+    and `options` as in `radial`.
 
     **Raises:** ValueError for lengths, a speed or a time that are not positive, `least` >= `radius`, or a
     sheet that does not fit.

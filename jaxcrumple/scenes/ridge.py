@@ -60,8 +60,9 @@ def ridge(
 ) -> Setup:
     """Build a rectangular sheet, `length` along y and `width` along x, bent at its ends about the line x = 0.
 
-    Frames hold the two ends. Each frame adds a twentieth of the length and bends to a corner during `close`.
-    The sheet between the frames is free.
+    It becomes a minimal ridge (Lobkovsky et al., Science 270 (1995) 1482), whose curvature `ridge_curvature`
+    measures. Frames hold the two ends. Each frame adds a twentieth of the length and bends to a corner during
+    `close`. The sheet between the frames is free.
 
     **Arguments:** `nodes`, `seed`: number of nodes and seed of the random mesh; `length`, `width` in m;
     `turn`: bend angle of the corner in rad; `close` in s; `options` of the sheet: `SheetOptions`.
@@ -88,6 +89,8 @@ def ridge_curvature(mesh: Mesh, x: NodeVectorsLike) -> float:
 
     It is the largest mean curvature, averaged over narrow strips along the middle part of the ridge. The
     curvature along the ridge is negligible.
+
+    **Raises:** ValueError for a wrong shape of `x`.
     """
     along = np.abs(mesh.vertices[:, 1]) < 0.5 * MIDDLE * np.ptp(mesh.vertices[:, 1])
     across, curvature = mesh.vertices[along, 0], np.abs(mean_curvature(mesh, x))[along]

@@ -32,11 +32,11 @@ _YIELD = ("yield_curvature", "yield_c0", "gamma", "plastic_time")
 
 
 class Setup(NamedTuple):
-    """A scene ready to run.
+    """A scene ready to run: what scene functions such as `radial` return, and `start_run` and `sweep` take.
 
-    `mesh` of the sheet, `scene`, initial positions `x` (n, 3) in m, options of self-`contact` (None: no
-    contact) and `material` (None: unknown). `t_end` in s and `frames`: end time and number of frames of a run
-    that gives none.
+    - `mesh` of the sheet; `scene`; `x` (n, 3): initial positions in m.
+    - `contact`: options of self-contact, None without it; `material`: None if unknown.
+    - `t_end` in s, `frames`: end time and number of frames of a run that gives none.
     """
 
     mesh: Mesh
@@ -56,6 +56,13 @@ class Setup(NamedTuple):
 
         **Raises:** ValueError for a setup without a material, or with a scene whose values do not follow from
         it; or for a new yield point if the flow rule is user-defined.
+
+        >>> setup = jc.radial(60)
+        >>> thick = setup.made_of(jc.Material(thickness=0.5e-3))  # instead of 0.25 mm
+        >>> print(f"{thick.mass.sum() / setup.scene.mass.sum():.6f}")
+        2.000000
+        >>> print(f"{thick.bending.stiffness.sum() / setup.scene.bending.stiffness.sum():.6f}")
+        8.000000
         """
         scene, own = self.scene, self._as_its_material_makes_it()
         for name in _MATERIAL:

@@ -70,9 +70,12 @@ def relaxed_drop(
 ) -> Drop:
     """Return the `energy_drop` of a scene, by relaxation without time integration.
 
-    **Arguments:** `before`: time in s of a load below the limit point; the function follows the first branch
-    to it from rest in `steps` equal increments, each relaxed; `after`: time in s of a load beyond the limit
-    point, where the sheet relaxes to the inverted shape.
+    **Arguments:** `setup`: of `arch` or `cap`, or another; `before`: time in s of a load below the limit
+    point; the function follows the first branch to it from rest in `steps` equal increments, each relaxed;
+    `after`: time in s of a load beyond the limit point, where the sheet relaxes to the inverted shape;
+    `steps`: number of increments; `force_tolerance`: as in `relax`.
+
+    **Raises:** ValueError for an object that is not a Setup, and as `energy_drop`.
     """
     if not isinstance(setup, Setup):
         raise ValueError(

@@ -34,7 +34,8 @@ def stamping(
 ) -> Setup:
     """Build a disc in a spherical die and a ball that presses it to the bottom.
 
-    The ball descends until it is concentric with the die; the space between them is then the `gap`.
+    It is the stamping of Fig. 7 (Hure, Roman & Bico, Phys. Rev. Lett. 109 (2012) 054302). The ball descends
+    until it is concentric with the die; the space between them is then the `gap`.
 
     **Arguments:** `nodes`, `seed`: number of nodes and seed of the random mesh; `radius` of the disc, `die`:
     radius of the die, `gap` in m; `speed` of the ball in m/s, without the initial clearance (the actual speed
@@ -83,6 +84,8 @@ def shell(
     **options: Any,
 ) -> Setup:
     """Build a shell, a spherical cap at rest, that two plates press flat.
+
+    It wrinkles as in Tobasco et al., arXiv:2004.02839.
 
     **Arguments:** `nodes`, `seed`: number of nodes and seed of the random mesh; `radius`: arc length from
     apex to rim, `curvature_radius` of the sphere, final `gap` between the plates in m; `speed` of the upper

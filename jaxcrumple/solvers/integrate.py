@@ -42,8 +42,11 @@ def integrate(
     The function is pure: wrap it in `eqx.filter_jit`; new numbers do not recompile it. The returned state has
     `result` success if no step failed for good, and time `t_stop` if it reached that time; call again to
     continue. The step sequence depends on the state alone, so that a saved state continues like an
-    uninterrupted run. `trail`: the log keeps up to this many accepted steps with their positions, and the
-    call ends when it is full; 0 keeps none and sets no limit.
+    uninterrupted run.
+
+    **Arguments:** `t_stop` in s; `solver`: an `Integrator`; `max_attempts`: largest number of step attempts;
+    `trail`: the log keeps up to this many accepted steps with their positions, and the call ends when it is
+    full; 0 keeps none and sets no limit.
 
     **Returns:** the new `State` and the `Log` of this call.
 

@@ -145,6 +145,9 @@ def relax(
 ) -> Relaxed:
     """Minimise the potential energy at the state's time, with its rest curvature p held fixed.
 
+    Newton's method with a pseudo inertia that vanishes as the forces balance (pseudo-transient continuation;
+    Kelley & Keyes, SIAM J. Numer. Anal. 35 (1998) 508).
+
     No step passes through a wall or through the sheet itself. The host rebuilds the contact lists as the
     sheet moves. Inside a function that JAX traces, `relax` has only the lists of the scene.
 
@@ -157,6 +160,15 @@ def relax(
     **Raises:** ValueError for a tolerance that is not positive, a state of another scene, or a start that no
     run can leave: behind a wall, with a hinge at 180 degrees or, in a scene with contact, passing through
     itself.
+
+    >>> mesh = jc.hexagonal(13, 4, 2e-3)  # a strip of 25 mm, clamped at its left end, under its weight
+    >>> left = mesh.vertices[:, 0] < mesh.vertices[:, 0].min() + 2.5e-3
+    >>> held = np.repeat(left[:, None], 3, axis=1)
+    >>> clamp = jc.Prescribed(held, jc.LinearMotion(mesh.vertices, (0, 0, 0)))
+    >>> scene = jc.sheet(mesh, jc.Material(), gravity=(0, 0, -9.81), prescribed=clamp)
+    >>> relaxed = jc.relax(scene, jc.initial_state(scene, mesh.vertices))
+    >>> bool(relaxed.converged), round(1e3 * float(relaxed.state.x[:, 2].min()), 3)  # sag in mm
+    (True, -0.069)
     """
     if force_tolerance is not None and not (is_number(force_tolerance) and force_tolerance > 0):
         raise ValueError(f"force_tolerance = {force_tolerance!r} N must be positive.")

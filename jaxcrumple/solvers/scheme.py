@@ -32,7 +32,7 @@ SNAP_SHARE, REFERENCE_SHARE = 0.1, 0.0008
 
 
 class Integrator(eqx.Module):
-    """Hold the stages of a scheme and their options.
+    """Hold the stages of a scheme and their options; `integrator` builds one.
 
     - `stages`: the stages of the scheme; a new state starts in the first one.
     - `implicit`, `explicit`: methods of the implicit and explicit steps; None if no stage needs them.
@@ -51,17 +51,23 @@ class Integrator(eqx.Module):
     max_step: Scalar | float = eqx.field(default=jnp.inf, converter=as_float)
 
     def has(self, stage: int) -> bool:
-        """Return whether the scheme has a stage."""
+        """Return whether the scheme has a `stage`: 0 quasistatic, 1 implicit, 2 explicit."""
         return stage in self.stages
 
     def stability_limit(
         self, scene: Scene, x: NodeVectors, t: ScalarLike, p: HingeValues | None = None
     ) -> Scalar:
-        """Compute the largest stable explicit step in s at positions `x` (n, 3), time `t` and p (h,)."""
+        """Compute the largest stable explicit step in s.
+
+        **Arguments:** `x` (n, 3): positions in m; `t`: time in s; `p` (h,): rest curvatures or None.
+        """
         return self._method.stable(fastest(scene, x, t, p))
 
     def measured(self, scene: Scene, x: NodeVectors, t: ScalarLike, p: HingeValues | None) -> Limit:
-        """Compute the stability limit, with the wall stiffness, for `State.limit`."""
+        """Compute the stability limit and the stiffness of the walls, for `State.limit`.
+
+        Arguments as of `stability_limit`.
+        """
         return Limit(self.stability_limit(scene, x, t, p), wall_stiffness(scene, x, t))
 
     def limit(self, scene: Scene, state: State) -> Scalar:
@@ -116,8 +122,14 @@ def integrator(
 ) -> Integrator:
     """Build an integrator with relative tolerance `rtol` and steps up to `max_step` s.
 
+    Implicit steps are BDF of order 1 to 5 with variable steps (section 3.2 of the paper for its pair of
+    orders 3 and 4), and a two-step family at order 2 with inertia. Explicit steps are velocity Verlet, in the
+    scheme "paper" Runge-Kutta of order 4 (section 3.4).
+
     **Arguments:**
 
+    - `rtol`: tolerance in the maximum norm, of positions relative to sqrt(A), and of rest curvatures relative
+      to 2.
     - `scheme`: "hybrid" (inertia throughout, by implicit steps, or by explicit steps when the implicit steps
       become as short), "dynamic" (implicit with inertia), "alternating" (quasistatic; as "hybrid" when
       the accelerations require inertia), "quasistatic" (no inertia), "explicit", "paper" (the paper's scheme:

@@ -26,9 +26,11 @@ class Switch(eqx.Module):
     - `minimum_steps`: quasistatic steps before the monitor may switch (the paper's rule).
     - `dwell`: time, in units of m/b_iso, that an implicit stage with inertia must stay below `down` before it
       hands back. The forces balance at its start by construction, and a vibration rests twice a period.
-    - `measure`: "displacement" compares the thresholds with $a_{max} (m/b_{iso})^2 / \\sqrt A$, the relative
-      position error of neglected inertia. "acceleration" uses the paper's $a_{max}/a_{ref}$; its unit
-      $a_{ref}$ is set by stretching and grows with the number of nodes.
+    - `measure`: "displacement" compares the thresholds with a_max (m / b_iso)^2 / sqrt(A), the relative
+      position error of neglected inertia. "acceleration" uses the paper's a_max / a_ref (section 3.4); its
+      unit a_ref is set by stretching and grows with the number of nodes.
+
+    **Raises:** ValueError for an unknown measure, a negative number, or `down` above `up`.
     """
 
     up: Scalar | float = eqx.field(default=3e-4, converter=as_float)
@@ -58,13 +60,17 @@ class Switch(eqx.Module):
         inertial_time: Scalar | float,
         length_scale: Scalar | float,
     ) -> Any:
-        """Convert a `ratio` a_max/a_ref to the measure of the thresholds."""
+        """Convert a `ratio` a_max / a_ref to the measure of the thresholds.
+
+        **Arguments:** scales of a `Scene`: `reference_acceleration` in m/s2, `inertial_time` in s,
+        `length_scale` in m.
+        """
         if self.measure == "acceleration":
             return ratio
         return ratio * reference_acceleration * inertial_time**2 / length_scale
 
     def measured(self, scene: Scene, monitor: Monitor) -> Scalar:
-        """Return the mean of the monitor in the measure of the thresholds."""
+        """Return the mean of the `monitor` of a `State`, in the measure of the thresholds."""
         scales = scene.reference_acceleration, scene.inertial_time, scene.length_scale
         return self.value(jnp.mean(monitor.ratios), *scales)
 

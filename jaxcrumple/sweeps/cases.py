@@ -130,6 +130,10 @@ def grid(
     scene.
 
     **Raises:** ValueError for an unknown name or an impossible value.
+
+    >>> runs = jc.grid("radial", {"thickness": ["0.1 mm", "0.2 mm"], "seed": [0, 1]}, {"nodes": 100})
+    >>> len(runs), next(iter(runs))
+    (4, 'thickness=0.1 mm,seed=0')
     """
     if not isinstance(scene, str):
         raise ValueError(

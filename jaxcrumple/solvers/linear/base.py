@@ -34,10 +34,12 @@ class LinearSolution(NamedTuple):
 
 
 class AbstractLinearSolver(eqx.Module):
-    """Define the interface of a linear solver.
+    """Define the interface of a linear solver: subclass it with `start`, `factor` and `solve`.
 
-    `exact`: whether one application of a factor solves its system; `one_matrix`: whether the solver needs
-    sheet and contact merged into one matrix, whose structure the host builds."""
+    A pattern, `Scene.sparsity`, holds the positions of the entries; `values` (size,) in N/m are the entries
+    of the upper triangle. `exact`: whether one application of a factor solves its system; `one_matrix`:
+    whether the solver needs sheet and contact merged into one matrix, whose structure the host builds.
+    """
 
     exact: eqx.AbstractClassVar[bool]
     one_matrix: ClassVar[bool] = False
@@ -47,11 +49,11 @@ class AbstractLinearSolver(eqx.Module):
 
     @abc.abstractmethod
     def start(self, pattern: Pattern) -> Factor:
-        """Build a workspace for the pattern, with the identity matrix."""
+        """Build a workspace for a `pattern`, with the factor of the identity matrix."""
 
     @abc.abstractmethod
     def factor(self, pattern: Pattern, values: Float[Array, " entries"], previous: Factor) -> Factor:
-        """Factor new `values` (size,)."""
+        """Factor the matrix of `pattern` with new `values` (size,), in the workspace of `previous`."""
 
     @abc.abstractmethod
     def solve(
@@ -64,13 +66,17 @@ class AbstractLinearSolver(eqx.Module):
     ) -> LinearSolution:
         """Solve A x = `rhs` (3n,) to a residual of `rtol` relative to `rhs`.
 
-        `values` (size,) are the entries of A, or None for those of the factor. The factor may be that of
-        older values."""
+        `values` (size,) are the entries of A in its `pattern`, or None for those of the `factor`. The factor
+        may be that of older values.
+        """
 
     def solve_factored(
         self, pattern: Pattern, factor: Factor, rhs: Float[Array, " unknowns"], rtol: Scalar | float
     ) -> Float[Array, " unknowns"]:
-        """Solve with the factor's own values, to a relative residual of `rtol` or less; returns x (3n,)."""
+        """Solve A x = `rhs` (3n,) for x (3n,), to a relative residual of `rtol` or less.
+
+        A has the `pattern` and the values of the `factor`.
+        """
         return self.solve(pattern, factor, None, rhs, rtol).x
 
     def solve_once(
@@ -81,11 +87,14 @@ class AbstractLinearSolver(eqx.Module):
         rhs: Float[Array, " unknowns"],
         rtol: Scalar | float,
     ) -> Float[Array, " unknowns"]:
-        """Factor `values` for one solution (3n,) only; `start` does not change."""
+        """Factor `values` (size,) of a `pattern` for one right-hand side `rhs` (3n,); return x (3n,).
+
+        `start`: a workspace, which does not change. `rtol`: relative residual.
+        """
         return self.solve_factored(pattern, self.factor(pattern, values, start), rhs, rtol)
 
     def release(self, factor: Factor, after: Shaped[Array, "..."]) -> None:
-        """Free memory that the factor holds outside JAX arrays, after `after` is computed."""
+        """Free memory that the `factor` holds outside JAX arrays, once the array `after` is computed."""
 
 
 def identity_values(pattern: Pattern) -> Float[Array, " entries"]:
