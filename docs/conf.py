@@ -5,6 +5,10 @@ both here and where the repository is browsed.
 """
 
 import importlib.metadata
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
 
 project = "jaxcrumple"
 author = "The jaxcrumple developers"
@@ -16,7 +20,7 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.viewcode",
     "sphinx_copybutton",
-    "sphinx_design",
+    "source_signatures",
 ]
 root_doc = "docs/index"
 include_patterns = [
@@ -41,6 +45,8 @@ default_role = "py:obj"
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 python_use_unqualified_type_names = True
+add_module_names = False
+maximum_signature_line_length = 100
 
 html_theme = "pydata_sphinx_theme"
 html_title = f"jaxcrumple {release}"

@@ -1,5 +1,6 @@
 """The public names, for `__init__.py` and for type checkers."""
 
+from . import measure
 from ._jax.settings import enable_compilation_cache
 from .calibrate.experiment import Experiment
 from .calibrate.fit import Fit, Parameter, fit
@@ -144,6 +145,7 @@ __all__ = [
     "linear_solve",
     "load",
     "mass_matrix",
+    "measure",
     "patch_test",
     "picture",
     "polydata",

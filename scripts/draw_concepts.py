@@ -94,7 +94,9 @@ def hinge_cycle() -> None:
     released = np.flatnonzero((time > 1.0) & (c <= p))[0]
     kept = p[released]
     axes.plot(kept, 0.0, "o", color="#d9541e")
-    axes.annotate("released: the crease", (kept, 0.0), (-126, -14), textcoords="offset points", color="#d9541e")
+    axes.annotate(
+        "released: the crease", (kept, 0.0), (-126, -14), textcoords="offset points", color="#d9541e"
+    )
     axes.set(xlabel="curvature c of the hinge [-]", ylabel="c - p, proportional to the moment [-]")
     save(figure, "yield")
 

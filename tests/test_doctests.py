@@ -29,7 +29,10 @@ PLAIN = {
     "seed",
 }  # fmt: skip
 PUBLIC = {
-    f"{module.__name__}.{name}": getattr(module, name) for module in (jc, measure) for name in module.__all__
+    f"{module.__name__}.{name}": value
+    for module in (jc, measure)
+    for name in module.__all__
+    if not inspect.ismodule(value := getattr(module, name))
 }
 ARGUMENTS = re.compile(r"\*\*Arguments:\*\*(?P<text>.*?)(?=\n\n\*\*|\n\n>>>|\Z)", re.DOTALL)
 # The names that begin an item: "- `a`, `b`: ..." or "`a` in m; `b`, `c`: ...".

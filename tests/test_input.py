@@ -17,10 +17,12 @@ from jaxcrumple import (
     Switch,
     elastic_tangent,
     energies,
+    fold_angle,
     force,
     initial_state,
     integrator,
     linear_solve,
+    measure,
     relax,
     sheet,
     simulate,
@@ -31,6 +33,7 @@ from jaxcrumple.solvers.linear.registry import direct_available
 
 MESH = rectangle(0.1, 0.1, 40, sweeps=3)
 MATERIAL = Material()
+SPHERE = Sphere(jnp.zeros(3), 0.1)
 
 
 def scene(**options):
@@ -221,3 +224,21 @@ def test_states_of_phantoms_and_of_sheets_with_contact_are_told_apart():
     lost = eqx.tree_at(lambda s: s.x, states[1], states[1].x.at[7].set(jnp.nan))
     with pytest.raises(ValueError, match="the state's x of node 7 is"):
         simulate(made[1], lost, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: fold_angle(MESH, jnp.zeros((20, 3))), r"x has shape \(20, 3\); it must be \(40, 3\)"),
+        (lambda: measure.thick_section(MESH, MESH.vertices, -1.0, (0, 0, 0), (1, 0, 0)), "must be positive"),
+        (lambda: measure.face_stretch_density(MESH, MESH.vertices, np.ones(3)), "ks has shape"),
+        (lambda: measure.face_bending_density(MESH, MESH.vertices, 0.0, 1.0), r"p has shape \(\)"),
+        (lambda: measure.wall_force(scene(walls=[SPHERE]).walls[0], np.zeros((3, 3)), 0.0), "x has shape"),
+        (lambda: measure.area_density(-1.0, 2.0), r"xi is -1\.0; it must be positive"),
+        (lambda: measure.area_cdf(1.0, 0.0), r"a is 0\.0; it must be positive"),
+        (lambda: measure.folded_hinges(MESH, MESH.vertices, 200.0), r"limit_deg = 200\.0"),
+    ],
+)
+def test_measures(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()

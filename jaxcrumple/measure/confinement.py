@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxcrumple._jax.arrays import NodeVectorsLike
 from jaxcrumple._jax.door import door
+from jaxcrumple._jax.tree import require_shape
 from jaxcrumple.model.walls import Wall
 
 
@@ -16,5 +17,8 @@ def wall_force(wall: Wall, x: NodeVectorsLike, t: float) -> float:
 
     `wall`: a `Wall` of the scene; `x` (n, 3): positions in m; `t`: time in s. For a shrinking sphere this is
     -dU/dR, pressure times area.
+
+    **Raises:** ValueError for a wrong shape of `x`.
     """
+    require_shape("x", x, (len(wall.stiffness), 3))
     return float(np.linalg.norm(np.asarray(wall.force(jnp.asarray(x), jnp.asarray(t))), axis=1).sum())

@@ -178,8 +178,10 @@ def folded_hinges(mesh: Mesh, x: NodeVectorsLike, limit_deg: float = 170.0) -> i
 
     180 degrees is a fully closed fold.
 
-    **Raises:** ValueError for a wrong shape of `x`.
+    **Raises:** ValueError for a wrong shape of `x`, or a limit that is not between 0 and 180.
     """
+    if not 0.0 <= limit_deg < 180.0:
+        raise ValueError(f"limit_deg = {limit_deg} must be at least 0 and below 180 degrees.")
     return int(np.count_nonzero(np.abs(hinge_angles(mesh, x)) > np.deg2rad(limit_deg)))
 
 

@@ -8,6 +8,7 @@ from jaxtyping import ArrayLike, Float, Int, Real
 
 from jaxcrumple._jax.arrays import HingeValuesLike, NodeVectorsLike, ScalarLike
 from jaxcrumple._jax.door import door
+from jaxcrumple._jax.tree import require_shape
 from jaxcrumple.measure.creases import hinge_angles, plastic_curvature
 from jaxcrumple.measure.strain import edge_length
 from jaxcrumple.mesh.mesh import Mesh
@@ -23,8 +24,9 @@ def face_stretch_density(
     `ks`: spring constants (e,), or one for all edges, in N/m. The faces of an edge share its energy (eq. 11)
     equally, so that density times `mesh.face_area` sums to the energy of the sheet.
 
-    **Raises:** ValueError for a wrong shape of `x`.
+    **Raises:** ValueError for a wrong shape of `x` or `ks`.
     """
+    require_shape("ks", ks, (), (len(mesh.edges),))
     energy = 0.5 * np.asarray(ks) * (edge_length(mesh, x) - mesh.edge_length) ** 2
     of_face = face_edges(mesh)
     owners = np.bincount(of_face.ravel(), minlength=len(mesh.edges))
@@ -41,8 +43,10 @@ def face_bending_density(
     `scene.bending.stiffness`. Each face of a hinge receives half of the hinge energy (eq. 31, with the stop
     that keeps faces apart), so that density times `mesh.face_area` sums to the energy of the sheet.
 
-    **Raises:** ValueError for a wrong shape of `x`.
+    **Raises:** ValueError for a wrong shape of `x`, `p` or `stiffness`.
     """
+    for name, values in (("p", p), ("stiffness", stiffness)):
+        require_shape(name, values, (len(mesh.hinges),))
     theta = hinge_angles(mesh, x)
     energy = hinge_energy(jnp.asarray(theta), jnp.asarray(p), jnp.asarray(stiffness))
     return _to_faces(mesh, 0.5 * np.asarray(energy)) / mesh.face_area

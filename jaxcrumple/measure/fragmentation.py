@@ -21,6 +21,8 @@ import numpy as np
 from jaxtyping import ArrayLike, Float, Real
 from scipy.stats import expon, gamma, kstest, lognorm
 
+from jaxcrumple._jax.tree import require_numbers
+
 #: $\\tau$ of $a = \\sqrt{t/\\tau}$, dimensionless.
 TAU = 24.04
 
@@ -81,9 +83,13 @@ def area_density(
     With u = a (a + 1) xi it is a (a + 1) / (2 Gamma(a)) u^(a/2 - 1) exp(-sqrt(u)) (Andrejevic et al., Nature
     Communications 12 (2021) 1470).
 
+    **Raises:** ValueError for an `xi` or `a` that is not positive.
+
     >>> measure.area_density([0.5, 1.0, 2.0], a=2.0).round(4)
     array([0.5308, 0.259 , 0.0939])
     """
+    require_numbers("xi", xi, positive=True)
+    require_numbers("a", a, positive=True)
     u = np.sqrt(a * (a + 1) * np.asarray(xi, dtype=np.float64))
     return gamma.pdf(u, a) * a * (a + 1) / (2 * u)
 
@@ -96,9 +102,13 @@ def area_cdf(
     It is P(a, sqrt(a (a + 1) xi)) with the regularised lower incomplete gamma function P: the integral of
     `area_density`.
 
+    **Raises:** ValueError for a negative `xi`, or an `a` that is not positive.
+
     >>> measure.area_cdf([0.5, 1.0, 2.0], a=2.0).round(4)
     array([0.5166, 0.7022, 0.8603])
     """
+    require_numbers("xi", xi)
+    require_numbers("a", a, positive=True)
     return gamma.cdf(np.sqrt(a * (a + 1) * np.asarray(xi, dtype=np.float64)), a)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int, Real
 
 from jaxcrumple._jax.arrays import NodeVectorsLike
+from jaxcrumple._jax.tree import require_numbers
 from jaxcrumple.measure.shells import normals
 from jaxcrumple.measure.strain import positions
 from jaxcrumple.mesh.mesh import Mesh
@@ -66,8 +67,9 @@ def thick_section(
 
     **Arguments:** `x`, `point`, `normal` as in `cross_section`.
 
-    **Raises:** ValueError as `cross_section`.
+    **Raises:** ValueError as `cross_section`, or for a thickness that is not positive.
     """
+    require_numbers("thickness", thickness, positive=True)
     corners = positions(mesh, x)[mesh.faces]
     origin, axes = plane(point, normal)
     half = 0.5 * thickness * normals(corners)[:, None]

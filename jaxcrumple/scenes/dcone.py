@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxcrumple._jax.door import door
-from jaxcrumple._jax.tree import as_float
+from jaxcrumple._jax.tree import as_float, require_shape
 from jaxcrumple.model.loads import LinearMotion, Prescribed
 from jaxcrumple.model.walls import Cone, PiecewiseLinear
 from jaxcrumple.scenes.quantities import Length, Slope, Speed
@@ -75,7 +75,10 @@ def free_sector(setup: Setup, x: Float[np.ndarray, "nodes 3"], t: float) -> floa
     fourth powers of the angle finds the ends. A threshold of the height would miss them by its cube root.
 
     **Arguments:** `setup`: of `dcone`; `x` (n, 3): positions in m; `t`: time in s.
+
+    **Raises:** ValueError for a wrong shape of `x`.
     """
+    require_shape("x", x, (setup.mesh.n_nodes, 3))
     flat = np.linalg.norm(setup.mesh.vertices[:, :2], axis=1)
     share = flat / flat.max()
     ring = (share > RING[0]) & (share < RING[1])

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxcrumple._jax.arrays import NodeVectors, Scalar
 from jaxcrumple._jax.door import door
-from jaxcrumple._jax.tree import as_float
+from jaxcrumple._jax.tree import as_float, require_shape
 from jaxcrumple.geometry.hinge import cross, gather, sub
 from jaxcrumple.material.material import Material
 from jaxcrumple.mesh.generate import rectangle
@@ -144,7 +144,10 @@ def fold_angle(mesh: Mesh, x: NodeVectors) -> Scalar:
 
     It is the angle phi_f of Fig. 3b. The `mesh` is that of the scene `fold`, whose fold lies at x = 0. The
     angle is that between the mean normals of both halves, away from the fold, and is smooth in `x`.
+
+    **Raises:** ValueError for a wrong shape of `x`.
     """
+    require_shape("x", x, (mesh.n_nodes, 3))
     side = np.sign(mesh.vertices[mesh.faces, 0])
     away = np.abs(mesh.vertices[mesh.faces, 0]).min(axis=1) > FLAT * np.ptp(mesh.vertices[:, 0])
     one, two = (_normal(x, mesh.faces[away & np.all(side == sign, axis=1)]) for sign in (-1.0, 1.0))
