@@ -48,12 +48,5 @@ python_use_unqualified_type_names = True
 add_module_names = False
 maximum_signature_line_length = 100
 
-html_theme = "pydata_sphinx_theme"
+html_theme = "furo"
 html_title = f"jaxcrumple {release}"
-html_theme_options = {
-    "show_toc_level": 2,
-    "navigation_with_keys": True,
-    "secondary_sidebar_items": ["page-toc"],
-    "footer_start": ["copyright"],
-    "footer_end": [],
-}
