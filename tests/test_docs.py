@@ -25,7 +25,8 @@ def test_links_lead_somewhere():
 
 def test_pages_are_those_of_the_results():
     """`poe pages` writes them."""
-    assert write_pages.PAGE.read_text() == write_pages.page()
+    for path, text in write_pages.pages().items():
+        assert path.read_text() == text, path.name
 
 
 def test_the_readme_is_short():
