@@ -1,0 +1,125 @@
+"""Dynamics: waves of the lattice, falling, damping, and energy."""
+
+from dataclasses import replace
+
+import numpy as np
+
+import jaxcrumple as jc
+
+from .base import KAPPA, PLAIN, ROW, Outcome, benchmark, energies, fixed, modes, strip
+
+KS = PLAIN.spring_constant
+
+
+@benchmark(
+    "dynamics",
+    "Lattice: sqrt(9/8), sqrt(3/8) a sqrt(ks/m) (Born & Huang 1954); plate: sqrt(kappa/rho h) q^2",
+)
+def plane_waves() -> list[Outcome]:
+    """Speeds of long waves in the plane, and frequency of a long flexural wave."""
+    spacing, q, direction = 1e-3, 0.02, np.deg2rad(11.0)
+    mesh = jc.hexagonal(13, 12, spacing)
+    scene = jc.sheet(mesh, PLAIN)
+    stiffness, mass = jc.tangent(scene, jc.initial_state(scene, mesh.vertices)), float(scene.mass[0])
+    along = np.array([np.cos(direction), np.sin(direction), 0.0])
+    phase = np.exp(1j * q / spacing * (mesh.vertices @ along))
+    inner = np.linalg.norm(mesh.vertices, axis=1) < 3.0 * spacing
+    unit, rows = spacing * np.sqrt(KS / mass), []
+    across = np.array([-along[1], along[0], 0.0])
+    for name, way, speed in (("longitudinal", along, 9.0 / 8.0), ("transverse", across, 3.0 / 8.0)):
+        pull = (stiffness @ (phase[:, None] * way).ravel()).reshape(-1, 3)
+        omega = np.sqrt(np.mean((pull @ way / phase).real[inner]) / mass)
+        expected = np.sqrt(speed) * unit
+        rows.append(
+            Outcome(f"{name} speed", "m/s", expected, omega * spacing / q, 1e-3, "lattice, q a = 0.02")
+        )
+    up = np.array([0.0, 0.0, 1.0])
+    pull = (stiffness @ (phase[:, None] * up).ravel()).reshape(-1, 3)
+    omega = np.sqrt(np.mean((pull @ up / phase).real[inner]) / mass)
+    expected = np.sqrt(KAPPA * ROW * spacing**2 / mass) * (q / spacing) ** 2
+    rows.append(Outcome("flexural frequency", "1/s", expected, omega, 1e-3, "lattice, q a = 0.02"))
+    return rows
+
+
+@benchmark("dynamics", "Linear drag: v = (g/b) (1 - exp(-b t))")
+def falling_sheet() -> list[Outcome]:
+    """Depth and speed of a sheet that falls in air, at 0.5, 1 and 5 relaxation times."""
+    drag, g = 50.0, 9.81
+    mesh = jc.rectangle(0.1, 0.1, 60, seed=0)
+    scene = jc.sheet(mesh, jc.Material(drag_rate=drag, yield_curvature=None), gravity=(0.0, 0.0, -g))
+    times = np.array([0.5, 1.0, 5.0]) / drag
+    solver = jc.integrator(1e-3, scheme="dynamic")
+    run = jc.simulate(scene, jc.initial_state(scene, mesh.vertices), times, solver=solver, throw=True)
+    rows = []
+    for k, t in enumerate(times):
+        speed = g / drag * -np.expm1(-drag * t)
+        depth = g / drag * (t + np.expm1(-drag * t) / drag)
+        about = "60 nodes, rtol 1e-3"
+        rows += [
+            Outcome(f"depth at {drag * t:g}/b", "mm", 1e3 * depth, -1e3 * run.x[k, :, 2].mean(), 0.02, about),
+            Outcome(f"speed at {drag * t:g}/b", "m/s", speed, -run.v[k, :, 2].mean(), 0.02, about),
+        ]
+    return rows
+
+
+def plucked(material: jc.Material) -> tuple[jc.Scene, np.ndarray, np.ndarray, float]:
+    """A cantilever: scene, positions, lowest mode with a tip of 1 and its angular frequency in 1/s."""
+    band = strip(36, 2, 3e-3)
+    x = band.mesh.vertices
+    scene = jc.sheet(band.mesh, material, prescribed=fixed(x[:, 0] < x[:, 0].min() + 1.6 * band.spacing, x))
+    values, shapes = modes(scene, x, 2)
+    shape = shapes[:, 0].reshape(-1, 3)
+    return scene, x, shape / np.abs(shape).max(), float(np.sqrt(values[0]))
+
+
+@benchmark(
+    "dynamics",
+    "Damped oscillator: period 2 pi/omega_d, log. decrement pi b/omega_d, with mode and omega of the tangent",
+)
+def logarithmic_decrement() -> list[Outcome]:
+    """Ringing of a cantilever in its lowest mode."""
+    drag = 8.0
+    scene, x, shape, omega = plucked(replace(PLAIN, drag_rate=drag))
+    damped = np.sqrt(omega**2 - 0.25 * drag**2)
+    t = np.linspace(0.0, 6.0, 121)[1:] * np.pi / damped
+    # Steps of the default scheme damp as well: by 1.7 % of the drag at this tolerance.
+    solver = jc.integrator(1e-3, scheme="dynamic", rho_infinity=1.0)
+    # A small amplitude: a tip's path of 1 % of the length is straight to 1e-4.
+    run = jc.simulate(scene, jc.initial_state(scene, x + 5e-4 * shape), t, solver=solver, throw=True)
+    mass = np.asarray(scene.mass)[:, None]
+    q = np.sum(mass * shape * (run.x - x), axis=(1, 2)) / np.sum(mass * shape**2)
+    phase, decay = np.unwrap(np.angle(q + 1j * np.gradient(q, t) / omega)), np.abs(q[119] / q[39])
+    period = 2.0 * np.pi / abs(np.polyfit(t[5:-5], phase[5:-5], 1)[0])
+    about = "lattice, 108 nodes, rtol 1e-3, rho_infinity 1"
+    return [
+        Outcome("period", "ms", 2e3 * np.pi / damped, 1e3 * period, 0.01, about),
+        Outcome("log. decrement", "1", np.pi * drag / damped, -np.log(decay) / 2.0, 0.02, about),
+    ]
+
+
+@benchmark("dynamics", "Conservation of energy")
+def undamped_energy() -> list[Outcome]:
+    """Energy of an undamped cantilever after three large swings."""
+    scene, x, shape, omega = plucked(PLAIN)
+    # The tip swings by a quarter of the length.
+    v, time = 0.015 * omega * shape, 6.0 * np.pi / omega
+    solver = jc.integrator(1e-3, scheme="dynamic", rho_infinity=1.0)
+    run = jc.simulate(scene, jc.initial_state(scene, x, v), time, solver=solver, throw=True)
+    ends = ((x, v), (run.state.x, run.state.v))
+    first, last = (sum(map(float, energies(scene, x, v, None, 0.0))) for x, v in ends)
+    about = "lattice, 108 nodes, rtol 1e-3, rho_infinity 1"
+    return [Outcome("energy, end over start", "1", 1.0, last / first, 0.005, about)]
+
+
+@benchmark(
+    "dynamics", "First law: energy of the sheet = work of walls - drag, damping, plastic and numerical losses"
+)
+def closed_ledger() -> list[Outcome]:
+    """Energy of a sheet in a shrinking sphere and the sum of the work on it."""
+    setup = jc.radial(60, contact=None)
+    state = jc.initial_state(setup.scene, setup.x, ledger=True)
+    run = jc.simulate(setup.scene, state, 1.0, solver=jc.integrator(1e-2, scheme="dynamic"), throw=True)
+    end = run.state
+    energy = sum(map(float, energies(setup.scene, end.x, end.v, end.p, end.t)))
+    work = sum(map(float, end.work))
+    return [Outcome("energy", "mJ", 1e3 * work, 1e3 * energy, 0.01, "60 nodes, rtol 1e-2")]
