@@ -3,6 +3,8 @@
 Expected values are closed forms, published numbers or independent numerical solutions. Each tolerance covers
 the discretisation of the mesh that its row names.
 
+With --only, the rows of the named benchmarks replace those of an earlier table.
+
     python scripts/validate.py [--only NAME ...] [--list] [--out FOLDER]
 """
 
@@ -30,6 +32,8 @@ EXPLAINED = 0.01
 def measured(benchmark: Benchmark) -> list[dict]:
     """Run a benchmark; return its rows, by the columns of the CSV file."""
     start = time.process_time()
+    outcomes = benchmark.run()
+    spent = time.process_time() - start
     rows = [
         {
             "group": benchmark.group,
@@ -44,11 +48,12 @@ def measured(benchmark: Benchmark) -> list[dict]:
             "tolerance_percent": 100.0 * outcome.tolerance,
             "accepted": outcome.accepted,
             "mesh": outcome.mesh,
+            "cpu_s": spent,
             "why": outcome.why if abs(outcome.deviation) > EXPLAINED else "",
         }
-        for outcome in benchmark.run()
+        for outcome in outcomes
     ]
-    print(f"{benchmark.name}: {time.process_time() - start:.1f} CPU s", flush=True)
+    print(f"{benchmark.name}: {spent:.1f} CPU s", flush=True)
     for row in rows:
         mark = "" if row["accepted"] else "  NOT ACCEPTED"
         print(
@@ -71,12 +76,29 @@ def table(rows: pd.DataFrame) -> str:
     return markdown(HEADER, cells)
 
 
+def with_earlier(rows: pd.DataFrame, path: Path) -> pd.DataFrame:
+    """Return new rows and those of an earlier table of all other benchmarks, in the order of the table."""
+    if not path.exists():
+        return rows
+    earlier = pd.read_csv(path, keep_default_na=False)
+    earlier = earlier[earlier["benchmark"].isin(set(BENCHMARKS) - set(rows["benchmark"]))]
+    order = [b.name for b in sorted(BENCHMARKS.values(), key=lambda b: list(GROUPS).index(b.group))]
+    both = pd.concat([earlier, rows])
+    return both.sort_values("benchmark", key=lambda names: names.map(order.index), kind="stable")
+
+
 def main() -> int:
     """Run the benchmarks and write the table; return 1 if one is not accepted."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--only", nargs="+", metavar="NAME", choices=list(BENCHMARKS), help="run only these")
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        metavar="NAME",
+        choices=list(BENCHMARKS),
+        help="run only these, and keep the other rows of the table",
+    )
     parser.add_argument("--list", action="store_true", help="name all benchmarks and stop")
     parser.add_argument(
         "--out", type=Path, default=RESULTS, help="folder of validation.md and validation.csv"
@@ -89,20 +111,19 @@ def main() -> int:
             print(f"{benchmark.group:10} {benchmark.name:26} {benchmark.title}")
         return 0
     jc.enable_compilation_cache()
-    start = time.process_time()
     rows = pd.DataFrame([row for benchmark in chosen for row in measured(benchmark)])
-    spent = time.process_time() - start
-    failed = rows[~rows["accepted"]]
+    opts.out.mkdir(parents=True, exist_ok=True)
+    rows = with_earlier(rows, opts.out / "validation.csv") if opts.only else rows
+    failed = int((~rows["accepted"]).sum())
+    spent = rows.groupby("benchmark")["cpu_s"].first().sum()
     text = (
-        f"{rows['benchmark'].nunique()} benchmarks, {len(rows)} quantities, {len(failed)} beyond their "
-        f"tolerance; {spent:.0f} CPU s, compiling included.\n\n{table(rows)}\n\n{stamp()}\n"
+        f"{rows['benchmark'].nunique()} benchmarks, {len(rows)} quantities, {failed} beyond their tolerance; "
+        f"{spent:.0f} CPU s, compiling included.\n\n{table(rows)}\n\n{stamp()}\n"
     )
-    if opts.only is None:
-        opts.out.mkdir(parents=True, exist_ok=True)
-        (opts.out / "validation.md").write_text(text)
-        rows.round(8).to_csv(opts.out / "validation.csv", index=False)
+    (opts.out / "validation.md").write_text(text)
+    rows.to_csv(opts.out / "validation.csv", index=False, float_format="%.8g")
     print(text)
-    return int(len(failed) > 0)
+    return int(failed > 0)
 
 
 if __name__ == "__main__":

@@ -193,5 +193,5 @@ def buckling_load(under: Callable[[float], jc.Scene], x: np.ndarray, guess: floa
 
     `under(load)`: scene under a load; `x` (n, 3) in m: rest shape.
     """
-    step = response(under(guess), x) / guess
+    step = response(under(1e-3 * guess), x) / (1e-3 * guess)
     return critical_load(lambda load: (under(load), x + load * step), guess)

@@ -12,7 +12,10 @@ from .base import PLAIN, Outcome, Strip, at_rest, benchmark, critical_load, fixe
 WIDTH = 1.5e-3
 # Columns and rows of a coarse and a fine strip.
 SIZES = ((72, 2), (144, 4))
-# At twice the width the deviations are twice as large.
+# A clamp is known to a quarter of the spacing, 0.4 % of the length of the coarse strip. It keeps the strip
+# from bending across over about a width, 2.5 % of the length, where the strip is up to 9/8 as stiff. The bend
+# of a strip far beyond buckling does the same. At twice the width the deviations are twice as large.
+TOLERANCE = 0.015
 FREE = "clamps and sharp bends keep the strip from bending across: it is up to 9/8 stiffer there"
 
 
@@ -50,11 +53,15 @@ def elastica(load: float, where: float) -> np.ndarray:
     return found.sol(where)[2:]
 
 
-@benchmark("beams", "Planar elastica, Levien (2008) for its history; solved by scipy.integrate.solve_bvp")
+@benchmark(
+    "beams",
+    "Planar elastica, Levien (2008) for its history; solved by scipy.integrate.solve_bvp",
+    quick=False,
+)
 def heavy_cantilever() -> list[Outcome]:
     """Tip of a cantilever that bends far under its own weight."""
     rows = []
-    for (columns, layers), tolerance in zip(SIZES, (0.03, 0.015), strict=True):
+    for columns, layers in SIZES:
         band = strip(columns, layers, WIDTH)
         held, length = ends(band, both=False)
         gravity = 10.0 * band.bending / (band.mass * length**3)
@@ -66,8 +73,8 @@ def heavy_cantilever() -> list[Outcome]:
         across, down = end[tip, 0].mean() - start, end[tip, 2].mean()
         expected = length * elastica(10.0, (x[tip, 0].mean() - start) / length)
         rows += [
-            Outcome("tip along", "mm", 1e3 * expected[0], 1e3 * across, tolerance, str(band)),
-            Outcome("tip up", "mm", 1e3 * expected[1], 1e3 * down, tolerance, str(band)),
+            Outcome("tip along", "mm", 1e3 * expected[0], 1e3 * across, TOLERANCE, str(band), FREE),
+            Outcome("tip up", "mm", 1e3 * expected[1], 1e3 * down, TOLERANCE, str(band), FREE),
         ]
     return rows
 
@@ -76,7 +83,7 @@ def heavy_cantilever() -> list[Outcome]:
 def cantilever_frequencies() -> list[Outcome]:
     """Lowest three bending frequencies of a cantilever."""
     rows = []
-    for (columns, layers), tolerance in zip(SIZES, (0.03, 0.015), strict=True):
+    for columns, layers in SIZES:
         band = strip(columns, layers, WIDTH)
         held, length = ends(band, both=False)
         scene = jc.sheet(band.mesh, PLAIN, prescribed=fixed(held, band.mesh.vertices))
@@ -90,15 +97,15 @@ def cantilever_frequencies() -> list[Outcome]:
         unit = np.sqrt(band.bending / band.mass) / length**2 / (2.0 * np.pi)
         for number, root in enumerate((1.8751041, 4.6940911, 7.8547574)):
             name = f"frequency {number + 1}"
-            rows.append(Outcome(name, "Hz", root**2 * unit, found[number], tolerance, str(band)))
+            rows.append(Outcome(name, "Hz", root**2 * unit, found[number], TOLERANCE, str(band), FREE))
     return rows
 
 
-@benchmark("beams", "Euler (1744): P = 4 pi^2 B/L^2 for clamped ends")
+@benchmark("beams", "Euler (1744): P = 4 pi^2 B/L^2 for clamped ends", quick=False)
 def euler_strut() -> list[Outcome]:
     """Compression at which a strip with clamped ends buckles."""
     rows = []
-    for (columns, layers), tolerance in zip(SIZES, (0.03, 0.015), strict=True):
+    for columns, layers in SIZES:
         band = strip(columns, layers, WIDTH)
         held, length = ends(band, both=True)
         flat, unit = band.mesh.vertices, 1e-5
@@ -111,7 +118,9 @@ def euler_strut() -> list[Outcome]:
             return jc.sheet(band.mesh, PLAIN, prescribed=fixed(held, x)), x
 
         expected = 4.0 * np.pi**2 * band.bending / length**2
-        rows.append(Outcome("load", "N", expected, critical_load(loaded, expected), tolerance, str(band)))
+        rows.append(
+            Outcome("load", "N", expected, critical_load(loaded, expected), TOLERANCE, str(band), FREE)
+        )
     return rows
 
 
@@ -119,7 +128,7 @@ def euler_strut() -> list[Outcome]:
 def buckled_elastica() -> list[Outcome]:
     """Height and load of a strip far beyond buckling, its ends closer by 0.3 of its length."""
     rows = []
-    for (columns, layers), tolerance in zip(SIZES, (0.025, 0.02), strict=True):
+    for columns, layers in SIZES:
         band = strip(columns, layers, WIDTH)
         held, length = ends(band, both=True)
         flat, short = band.mesh.vertices, 0.3
@@ -133,8 +142,8 @@ def buckled_elastica() -> list[Outcome]:
         height, load = length * k / ellipk(k * k), 16.0 * ellipk(k * k) ** 2 * band.bending / length**2
         push = forces(scene, end)[held & (flat[:, 0] > 0), 0].sum()
         rows += [
-            Outcome("height", "mm", 1e3 * height, 1e3 * end[:, 2].max(), tolerance, str(band), FREE),
-            Outcome("load", "N", load, push, tolerance, str(band), FREE),
+            Outcome("height", "mm", 1e3 * height, 1e3 * end[:, 2].max(), 2.0 * TOLERANCE, str(band), FREE),
+            Outcome("load", "N", load, push, 2.0 * TOLERANCE, str(band), FREE),
         ]
     return rows
 

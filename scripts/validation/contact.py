@@ -33,7 +33,9 @@ def folded(gap: float, columns: int, rows: int, step: float) -> tuple[jc.Mesh, n
 
 
 @benchmark(
-    "contact", "P = 2 pi n^2 g U(g) of two dense layers of sites with pair energy U (integral over one layer)"
+    "contact",
+    "P = 2 pi n^2 g U(g) of two dense layers of sites with pair energy U (integral over one layer)",
+    quick=False,
 )
 def layer_pressure() -> list[Outcome]:
     """Pressure between two parallel layers, for the paper's pair potential and the default one."""
@@ -59,7 +61,9 @@ def layer_pressure() -> list[Outcome]:
 
 
 @benchmark(
-    "contact", "Energy conservation: speed, and time of the bounce by quadrature of the wall's potential"
+    "contact",
+    "Energy conservation: speed, and time of the bounce by quadrature of the wall's potential",
+    quick=False,
 )
 def rebound() -> list[Outcome]:
     """Rebound of a flat sheet from a rigid wall."""

@@ -41,7 +41,7 @@ def plane_waves() -> list[Outcome]:
     return rows
 
 
-@benchmark("dynamics", "Linear drag: v = (g/b) (1 - exp(-b t))")
+@benchmark("dynamics", "Linear drag: v = (g/b) (1 - exp(-b t))", quick=False)
 def falling_sheet() -> list[Outcome]:
     """Depth and speed of a sheet that falls in air, at 0.5, 1 and 5 relaxation times."""
     drag, g = 50.0, 9.81
@@ -75,6 +75,7 @@ def plucked(material: jc.Material) -> tuple[jc.Scene, np.ndarray, np.ndarray, fl
 @benchmark(
     "dynamics",
     "Damped oscillator: period 2 pi/omega_d, log. decrement pi b/omega_d, with mode and omega of the tangent",
+    quick=False,
 )
 def logarithmic_decrement() -> list[Outcome]:
     """Ringing of a cantilever in its lowest mode."""
@@ -97,7 +98,7 @@ def logarithmic_decrement() -> list[Outcome]:
     ]
 
 
-@benchmark("dynamics", "Conservation of energy")
+@benchmark("dynamics", "Conservation of energy", quick=False)
 def undamped_energy() -> list[Outcome]:
     """Energy of an undamped cantilever after three large swings."""
     scene, x, shape, omega = plucked(PLAIN)
@@ -112,7 +113,9 @@ def undamped_energy() -> list[Outcome]:
 
 
 @benchmark(
-    "dynamics", "First law: energy of the sheet = work of walls - drag, damping, plastic and numerical losses"
+    "dynamics",
+    "First law: energy of the sheet = work of walls - drag, damping, plastic and numerical losses",
+    quick=False,
 )
 def closed_ledger() -> list[Outcome]:
     """Energy of a sheet in a shrinking sphere and the sum of the work on it."""

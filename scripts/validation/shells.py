@@ -29,6 +29,8 @@ from .base import (
 
 # Radius of the sphere in m: 32 thicknesses.
 RADIUS = 8e-3
+# A clamp keeps the arch from bending across over about a width, 5 % of its span, where it is 9/8 as stiff.
+CLAMP = "clamps keep the strip from bending across: it is up to 9/8 stiffer there"
 # Width of the patches that pinch it, in radii.
 PATCH = 0.2
 
@@ -139,20 +141,14 @@ def pinched_sphere() -> list[Outcome]:
         load = -pressure[:, None] * mesh.vertices / RADIUS
         stiffness = jc.tangent(scene, jc.initial_state(scene, mesh.vertices)).tocsc()
         work = load.ravel() @ spsolve(stiffness, load.ravel())
-        rows.append(
-            Outcome(
-                "stiffness",
-                "N/m",
-                pinch_stiffness(),
-                2.0 / work,
-                tolerance,
-                f"icosphere, {mesh.n_nodes} nodes",
-            )
-        )
+        about, why = f"icosphere, {mesh.n_nodes} nodes", "bending decays over less than an edge"
+        rows.append(Outcome("stiffness", "N/m", pinch_stiffness(), 2.0 / work, tolerance, about, why))
     return rows
 
 
-@benchmark("shells", "Zoelly (1915): p = 4 sqrt(kappa Y)/R^2, that is 2 E (h/R)^2/sqrt(3 (1 - nu^2))")
+@benchmark(
+    "shells", "Zoelly (1915): p = 4 sqrt(kappa Y)/R^2, that is 2 E (h/R)^2/sqrt(3 (1 - nu^2))", quick=False
+)
 def pressed_sphere() -> list[Outcome]:
     """Outer pressure at which a sphere buckles."""
     rows = []
@@ -166,16 +162,12 @@ def pressed_sphere() -> list[Outcome]:
 
         expected = 4.0 * np.sqrt(KAPPA * YOUNG) / RADIUS**2
         found = buckling_load(under, mesh.vertices, expected)
-        rows.append(
-            Outcome(
-                "pressure",
-                "kPa",
-                1e-3 * expected,
-                1e-3 * found,
-                tolerance,
-                f"icosphere, {mesh.n_nodes} nodes",
-            )
-        )
+        # Buckles are 4 and 8 edges long. The theory is that of a small strain at buckling; here it is 1.3 %,
+        # and nodes with five neighbours are imperfections. At 16 thicknesses it is 2.5 %, and the pressure of
+        # the fine mesh 5.8 % too low.
+        why = "the strain at buckling is 1.3 %, and twelve nodes have five neighbours"
+        about = f"icosphere, {mesh.n_nodes} nodes"
+        rows.append(Outcome("pressure", "kPa", 1e-3 * expected, 1e-3 * found, tolerance, about, why))
     return rows
 
 
@@ -239,11 +231,15 @@ def arch_load(bending: float, stretching: float, span: float, rise: float, sag: 
     return solved(tension)[0]
 
 
-@benchmark("shells", "Shallow-arch theory (Schreyer & Masur, J. Eng. Mech. Div. 92, 1, 1966), by a series")
+@benchmark(
+    "shells",
+    "Shallow-arch theory (Schreyer & Masur, J. Eng. Mech. Div. 92, 1, 1966), by a series",
+    quick=False,
+)
 def snapping_arch() -> list[Outcome]:
     """Largest central load that a shallow clamped arch bears."""
     rows = []
-    for columns, layers, tolerance in ((40, 2, 0.04), (80, 4, 0.02)):
+    for columns, layers in ((40, 2), (80, 4)):
         flat = strip(columns, layers, 1.5e-3)
         x, y, _ = flat.mesh.vertices.T
         held = np.abs(x) > np.abs(x).max() - 1.6 * flat.spacing
@@ -265,5 +261,5 @@ def snapping_arch() -> list[Outcome]:
         theory = [arch_load(flat.bending, flat.stretching, span, rise, sag) for sag in sags]
         peaks = [np.polynomial.Polynomial.fit(sags, loads, 5)(np.linspace(sags[0], sags[-1], 1000)).max()
                  for loads in (theory, found)]  # fmt: skip
-        rows.append(Outcome("load", "N", *peaks, tolerance, str(flat)))
+        rows.append(Outcome("load", "N", *peaks, 0.03, str(flat), CLAMP))
     return rows
