@@ -49,6 +49,7 @@ def held_hinge() -> list[Outcome]:
 @benchmark(
     "folds",
     "1/R' = 1/R - K_y for slow flow (Gardiner, Trans. ASME 79, 1, 1957), with the flow of eqs. 34-36",
+    quick=False,
 )
 def springback() -> list[Outcome]:
     """Curvature that a strip keeps that was held on a mandrel and let go."""
