@@ -185,7 +185,7 @@ def band(columns: int, rows: int, radius: float) -> jc.Mesh:
     return jc.Mesh.from_arrays(points, faces, reorder=True)
 
 
-@benchmark("shells", "Levy, J. Math. Pures Appl. 10, 5 (1884): p = 3 B/R^3")
+@benchmark("shells", "Levy, J. Math. Pures Appl. 10, 5 (1884): p = 3 B/R^3", quick=False)
 def pressed_ring() -> list[Outcome]:
     """Outer pressure at which a narrow ring buckles."""
     rows = []
