@@ -1,0 +1,1 @@
+"""Classical benchmarks through the public interface: one module for each group."""
