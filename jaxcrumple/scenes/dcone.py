@@ -76,7 +76,7 @@ def free_sector(setup: Setup, x: Float[np.ndarray, "nodes 3"], t: float) -> floa
 
     **Arguments:** `setup`: of `dcone`; `x` (n, 3): positions in m; `t`: time in s.
 
-    **Raises:** ValueError for a wrong shape of `x`.
+    **Raises:** ValueError for a wrong shape of `x`, or a sheet without such a sector.
     """
     require_shape("x", x, (setup.mesh.n_nodes, 3))
     flat = np.linalg.norm(setup.mesh.vertices[:, :2], axis=1)
@@ -87,7 +87,13 @@ def free_sector(setup: Setup, x: Float[np.ndarray, "nodes 3"], t: float) -> floa
     lifted = (gap - np.quantile(gap, 0.25)) / flat[ring]
     middle = np.angle(np.sum(lifted * np.exp(1j * angle)))
     from_middle = np.angle(np.exp(1j * (angle - middle)))
-    return sum(_end(sign * from_middle, lifted) for sign in (-1.0, 1.0))
+    ends = [_end(sign * from_middle, lifted) for sign in (-1.0, 1.0)]
+    if not all(0.0 < end < np.pi for end in ends):
+        raise ValueError(
+            f"x has no free sector: its ends would be at {ends[0]:.3g} and {ends[1]:.3g} rad from its middle. "
+            "Give a d-cone at rest that is pushed in by several thicknesses, on a finer mesh."
+        )
+    return sum(ends)
 
 
 def _end(angle: Float[np.ndarray, " points"], lifted: Float[np.ndarray, " points"]) -> float:
