@@ -90,7 +90,7 @@ def free_sector(setup: Setup, x: Float[np.ndarray, "nodes 3"], t: float) -> floa
     ends = [_end(sign * from_middle, lifted) for sign in (-1.0, 1.0)]
     if not all(0.0 < end < np.pi for end in ends):
         raise ValueError(
-            f"x has no free sector: its ends would be at {ends[0]:.3g} and {ends[1]:.3g} rad from its middle. "
+            f"x has no free sector: its ends would be {ends[0]:.3g} and {ends[1]:.3g} rad from its middle. "
             "Give a d-cone at rest that is pushed in by several thicknesses, on a finer mesh."
         )
     return sum(ends)
