@@ -1,0 +1,68 @@
+"""Every script of the gallery runs at a small size, and its picture and its text fit together."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import jaxcrumple as jc
+
+GALLERY = sorted((Path(__file__).parents[1] / "docs" / "gallery").glob("*.py"))
+# Values that replace the constants at the top of each script.
+SMALL = {
+    "fold": {"nodes": 60, "yield_curvatures": [20, 35, 50], "pixels": 60},
+    "radial": {"nodes": 80, "contact": None, "t_end": 0.8, "pixels": 60},
+    "ridge": {"nodes": 400, "thicknesses": [0.5e-3, 0.25e-3, 0.125e-3], "pixels": 60},
+}
+# Largest size of a picture in bytes.
+LARGEST = 100_000
+
+
+def shrunk(source: str, values: dict) -> ast.Module:
+    """Return the script with other values of the named constants that it assigns at its top level.
+
+    **Raises:** KeyError for a constant that the script does not assign.
+    """
+    tree, left = ast.parse(source), dict(values)
+    for statement in tree.body:
+        if isinstance(statement, ast.Assign) and len(statement.targets) == 1:
+            target = statement.targets[0]
+            if isinstance(target, ast.Name) and target.id in left:
+                statement.value = ast.parse(repr(left.pop(target.id)), mode="eval").body
+    if left:
+        raise KeyError(f"the script assigns no {sorted(left)} at its top level")
+    return ast.fix_missing_locations(tree)
+
+
+def first_cell(path: Path) -> str:
+    """Return the text of the first cell, a cell of Markdown."""
+    head, cell, *_ = path.read_text().split("# %% [markdown]\n")
+    assert head == ""
+    return "\n".join(line.removeprefix("#").removeprefix(" ") for line in cell.split("# %%")[0].splitlines())
+
+
+@pytest.mark.parametrize("path", GALLERY, ids=lambda path: path.stem)
+def test_a_script_runs_at_a_small_size(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(jc.Picture, "save", lambda self, name: Path(name).write_bytes(b"JPEG"))
+    code = compile(shrunk(path.read_text(), SMALL[path.stem]), str(path), "exec")
+    exec(code, {"__name__": path.stem})
+    assert (tmp_path / f"{path.stem}.jpg").exists()
+
+
+@pytest.mark.parametrize("path", GALLERY, ids=lambda path: path.stem)
+def test_a_script_has_a_title_and_its_picture(path):
+    text = first_cell(path)
+    assert text.startswith("# ")
+    assert f"]({path.stem}.jpg)" in text
+    picture = path.with_suffix(".jpg")
+    assert picture.read_bytes()[:2] == b"\xff\xd8"
+    assert picture.stat().st_size <= LARGEST
+
+
+def test_a_constant_that_a_script_lacks_is_refused():
+    code = compile(shrunk("nodes = 400\nedge = nodes**2", {"nodes": 3}), "script", "exec")
+    exec(code, found := {})
+    assert found["edge"] == 9
+    with pytest.raises(KeyError, match="nodes"):
+        shrunk("def f():\n    nodes = 400", {"nodes": 3})
