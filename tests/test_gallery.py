@@ -10,9 +10,14 @@ import jaxcrumple as jc
 GALLERY = sorted((Path(__file__).parents[1] / "docs" / "gallery").glob("*.py"))
 # Values that replace the constants at the top of each script.
 SMALL = {
+    "axial": {"nodes": 60, "cycles": 3, "yield_curvature": 60.0, "pixels": 60},
+    "conical": {"nodes": 100, "contact": None, "yield_curvature": 80.0, "pull": 0.012, "pixels": 60},
+    "cylindrical": {"nodes": 100, "height": 0.09, "compress": 0.05, "frames": 20, "pixels": 60},
+    "dcone": {"nodes": 400, "pixels": 60},
     "fold": {"nodes": 60, "yield_curvatures": [20, 35, 50], "pixels": 60},
     "radial": {"nodes": 80, "contact": None, "t_end": 0.8, "pixels": 60},
-    "ridge": {"nodes": 400, "thicknesses": [0.5e-3, 0.25e-3, 0.125e-3], "pixels": 60},
+    "ridge": {"nodes": 1000, "thicknesses": [0.5e-3, 0.125e-3], "pixels": 60},
+    "stamping": {"nodes": 80, "contact": None, "gap": 8e-3, "pixels": 60},
 }
 # Largest size of a picture in bytes.
 LARGEST = 100_000

@@ -3,11 +3,12 @@
 #
 # ![The sheet in its sphere, and the energy that takes up the work of the sphere](radial.jpg)
 #
-# A square sheet of 10 cm, 0.125 mm thick, crumples in a sphere that shrinks from 7.1 to 3.1 cm (Fig. 5 of Andrejevic &
-# Rycroft, 2022). The ledger of the run splits the work of the sphere into stored energy and dissipation. The sum agrees with the
-# work to 1 %, as asserted. Of 41 mJ, creases take 35 %, bending keeps 32 % and drag takes 28 %. Stretching keeps 1.5 %: a thin sheet bends rather
-# than stretches. No two layers intersect.
-# RUNTIME
+# A square sheet of 10 cm, 0.125 mm thick, crumples in a sphere that shrinks from 7.1 to 3.1 cm (Fig. 5 of
+# Andrejevic & Rycroft, 2022). The ledger of the run splits the work of the sphere into stored energy and
+# dissipation. Both add up to the work; the script asserts 1 %. Of 41 mJ, plastic creases dissipate 35 %,
+# bending stores 32 % and drag dissipates 28 %. Stretching stores 1.5 %: a thin sheet bends rather than
+# stretches. No two layers intersect. The script takes 5 CPU minutes on one core, one of them for compiling
+# (2026-11-28).
 
 # %%
 import jax

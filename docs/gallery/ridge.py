@@ -3,12 +3,11 @@
 #
 # ![A sheet with a ridge between two corners, and its curvature against its thickness](ridge.jpg)
 #
-# Two frames bend opposite ends of an elastic sheet to a right angle. A ridge of length $X$ connects the two corners.
-# A sharp ridge would cost too much bending, so it sags and stretches, the less the thinner the sheet. Its curvature
-# $C$ at the middle follows $C X = const \, (h / X)^{-1/3}$ for vanishing thickness $h$ (Lobkovsky et al., Science
-# 270, 1482 (1995)). For thicknesses from $X / 200$ to $X / 800$ the fitted exponent is RESULT, and the
-# script asserts -1/3 within 0.05.
-# RUNTIME
+# Two frames bend opposite ends of an elastic sheet to a right angle. A ridge of length $X$ connects the two
+# corners. A sharp ridge would cost too much bending energy, so its middle stretches and its curvature $C$
+# stays finite. In the limit of vanishing thickness $h$, $C X \propto (X / h)^{1/3}$ (Lobkovsky et al.,
+# Science 270, 1482 (1995)). For $X / h$ from 200 to 800 the fitted exponent is 0.332. The script asserts 1/3
+# within 0.05. It takes 40 CPU s on one core, compiling included (2026-11-28).
 
 # %%
 import jax
