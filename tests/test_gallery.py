@@ -10,8 +10,23 @@ import jaxcrumple as jc
 GALLERY = sorted((Path(__file__).parents[1] / "docs" / "gallery").glob("*.py"))
 # Values that replace the constants at the top of each script.
 SMALL = {
-    "axial": {"nodes": 60, "cycles": 3, "yield_curvature": 60.0, "pixels": 60},
-    "conical": {"nodes": 100, "contact": None, "yield_curvature": 80.0, "pull": 0.012, "pixels": 60},
+    "axial": {
+        "nodes": 60,
+        "cycles": 3,
+        "height": 0.06,
+        "thickness": 0.5e-3,
+        "yield_curvature": 60.0,
+        "parts": {
+            "roll": 0.03,
+            "compress": 0.06,
+            "open": 0.01,
+            "unfold": 0.04,
+            "flatten": 0.03,
+            "rest": 0.01,
+        },  # fmt: skip
+        "pixels": 60,
+    },
+    "conical": {"nodes": 100, "contact": None, "yield_curvature": 150.0, "pull": 0.02, "pixels": 60},
     "cylindrical": {"nodes": 100, "height": 0.09, "compress": 0.05, "frames": 20, "pixels": 60},
     "dcone": {"nodes": 400, "pixels": 60},
     "fold": {"nodes": 60, "yield_curvatures": [20, 35, 50], "pixels": 60},

@@ -27,7 +27,9 @@ jc.enable_compilation_cache()
 nodes = 500
 contact = "inverse-power"
 yield_curvature = 200.0  # 1/m
-opening, pull, speed = 0.015, 0.025, 0.02  # m, m, m/s
+opening = 0.015  # m, radius of the hole
+pull = 0.025  # m
+speed = 0.02  # m/s
 pixels = 700  # longer side of the sheet in the picture
 
 # %%
@@ -47,11 +49,12 @@ size = np.linalg.norm(along, axis=1)
 radial = np.abs(np.sum(along * middle, axis=1)) / (size * np.linalg.norm(middle, axis=1))
 creased = crease_pattern(mesh, solution.p[-1]) != 0
 crease_cos, mesh_cos = np.average(radial[creased], weights=size[creased]), np.average(radial, weights=size)
-print(winding, crease_cos, mesh_cos)
+widest = np.linalg.norm(section.ends, axis=-1).max() / opening
+print(winding, widest, crease_cos, mesh_cos)
 assert winding > 1.3
-assert np.linalg.norm(section.ends, axis=-1).max() < 1.1 * opening
+assert widest < 1.2
 assert crease_cos > 0.7
-assert count_intersections(mesh, x) == 0
+assert contact is None or count_intersections(mesh, x) == 0
 
 # %%
 run = jc.Run.from_solution(mesh, setup.scene, solution)

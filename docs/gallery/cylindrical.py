@@ -23,7 +23,9 @@ jc.enable_compilation_cache()
 
 nodes = 400
 size, radius = 0.1, 0.017  # m, edge of the sheet and radius of the cylinder
-height, compress, frames = 0.06, 0.2, 80  # m, s, -
+height = 0.06  # m, in the end
+compress = 0.2  # s
+frames = 80
 pixels = 700  # longer side of the sheet in the picture
 
 # %%

@@ -43,7 +43,7 @@ assert abs(total.iloc[-1] - work.iloc[-1]) < 0.01 * work.iloc[-1]
 assert lost["work_numerical"].abs().iloc[-1] < 0.03 * work.iloc[-1]
 assert stored["stretch"].iloc[-1] < 0.2 * stored["bending"].iloc[-1]
 assert np.linalg.norm(solution.x[-1], axis=1).max() < radius.iloc[-1]
-assert count_intersections(setup.mesh, solution.x[-1]) == 0
+assert contact is None or count_intersections(setup.mesh, solution.x[-1]) == 0
 
 # %%
 run = jc.Run.from_solution(setup.mesh, setup.scene, solution)

@@ -23,7 +23,9 @@ jc.enable_compilation_cache()
 
 nodes = 800
 contact = "inverse-power"
-disc, die, gap, speed = 0.05, 0.053, 5e-3, 0.02  # m, m, m, m/s
+disc, die = 0.05, 0.053  # m, radii
+gap = 5e-3  # m, between ball and die in the end
+speed = 0.02  # m/s
 pixels = 700  # longer side of the sheet in the picture
 
 # %% [markdown]
@@ -49,7 +51,7 @@ print(length, distance / circle, disc / circle, np.quantile(np.abs(edge_strain(m
 assert abs(length - 1) < 0.02
 assert abs(distance / circle - 1) < 0.05
 assert disc / circle > 1.1
-assert count_intersections(mesh, x) == 0
+assert contact is None or count_intersections(mesh, x) == 0
 
 # %%
 run = jc.Run.from_solution(mesh, setup.scene, solution)
