@@ -1,0 +1,88 @@
+"""Every script of the gallery runs at a small size, and its picture and its text fit together."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import jaxcrumple as jc
+
+GALLERY = sorted((Path(__file__).parents[1] / "docs" / "gallery").glob("*.py"))
+# Values that replace the constants at the top of each script.
+SMALL = {
+    "axial": {
+        "nodes": 60,
+        "cycles": 3,
+        "height": 0.06,
+        "thickness": 0.5e-3,
+        "yield_curvature": 60.0,
+        "parts": {
+            "roll": 0.03,
+            "compress": 0.06,
+            "open": 0.01,
+            "unfold": 0.04,
+            "flatten": 0.03,
+            "rest": 0.01,
+        },  # fmt: skip
+        "pixels": 60,
+    },
+    "conical": {"nodes": 100, "contact": None, "yield_curvature": 150.0, "pull": 0.02, "pixels": 60},
+    "cylindrical": {"nodes": 100, "height": 0.09, "compress": 0.05, "frames": 20, "pixels": 60},
+    "dcone": {"nodes": 400, "pixels": 60},
+    "fold": {"nodes": 60, "yield_curvatures": [20, 35, 50], "pixels": 60},
+    "radial": {"nodes": 80, "contact": None, "t_end": 0.8, "pixels": 60},
+    "ridge": {"nodes": 1000, "thicknesses": [0.5e-3, 0.125e-3], "pixels": 60},
+    "stamping": {"nodes": 80, "contact": None, "gap": 8e-3, "pixels": 60},
+}
+# Largest size of a picture in bytes.
+LARGEST = 100_000
+
+
+def shrunk(source: str, values: dict) -> ast.Module:
+    """Return the script with other values of the named constants that it assigns at its top level.
+
+    **Raises:** KeyError for a constant that the script does not assign.
+    """
+    tree, left = ast.parse(source), dict(values)
+    for statement in tree.body:
+        if isinstance(statement, ast.Assign) and len(statement.targets) == 1:
+            target = statement.targets[0]
+            if isinstance(target, ast.Name) and target.id in left:
+                statement.value = ast.parse(repr(left.pop(target.id)), mode="eval").body
+    if left:
+        raise KeyError(f"the script assigns no {sorted(left)} at its top level")
+    return ast.fix_missing_locations(tree)
+
+
+def first_cell(path: Path) -> str:
+    """Return the text of the first cell, a cell of Markdown."""
+    head, cell, *_ = path.read_text().split("# %% [markdown]\n")
+    assert head == ""
+    return "\n".join(line.removeprefix("#").removeprefix(" ") for line in cell.split("# %%")[0].splitlines())
+
+
+@pytest.mark.parametrize("path", GALLERY, ids=lambda path: path.stem)
+def test_a_script_runs_at_a_small_size(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(jc.Picture, "save", lambda self, name: Path(name).write_bytes(b"JPEG"))
+    code = compile(shrunk(path.read_text(), SMALL[path.stem]), str(path), "exec")
+    exec(code, {"__name__": path.stem})
+    assert (tmp_path / f"{path.stem}.jpg").exists()
+
+
+@pytest.mark.parametrize("path", GALLERY, ids=lambda path: path.stem)
+def test_a_script_has_a_title_and_its_picture(path):
+    text = first_cell(path)
+    assert text.startswith("# ")
+    assert f"]({path.stem}.jpg)" in text
+    picture = path.with_suffix(".jpg")
+    assert picture.read_bytes()[:2] == b"\xff\xd8"
+    assert picture.stat().st_size <= LARGEST
+
+
+def test_a_constant_that_a_script_lacks_is_refused():
+    code = compile(shrunk("nodes = 400\nedge = nodes**2", {"nodes": 3}), "script", "exec")
+    exec(code, found := {})
+    assert found["edge"] == 9
+    with pytest.raises(KeyError, match="nodes"):
+        shrunk("def f():\n    nodes = 400", {"nodes": 3})
