@@ -3,12 +3,12 @@
 #
 # ![The strip; its measured and fitted tip; the confidence ellipses of both parameters](calibration.jpg)
 #
-# A strip of 5 cm, clamped at one end, is let go under its own weight. Its tip is measured 60 times, with an error of 50 µm.
-# `jc.fit` finds Young's modulus and the drag rate by least squares; the derivatives of each run come from its replay. Here the
-# measurement is Euler-Bernoulli theory of a beam of bending stiffness $\tfrac{8}{9}\kappa W$ with noise, so that the fit also
-# checks the sheet. Young's modulus comes out within 5 % of its true value (here 0.6 %), and the drag rate within three standard
-# deviations.
-# Run time: TIME.
+# A strip of 5 cm, clamped at one end, is let go under its own weight. Its tip is measured 60 times, with an
+# error of 50 µm. `jc.fit` finds Young's modulus and the drag rate by least squares; the derivatives of each
+# run come from its replay. Here the measurement is Euler-Bernoulli theory of a beam of bending stiffness
+# $\tfrac{8}{9}\kappa W$ with noise, so that the fit also checks the sheet. Young's modulus comes out within
+# 5 % of its true value (here 0.6 %), and the drag rate within three standard deviations. Run time: 23 CPU s
+# (2026-11-28, one core, warm).
 
 # %%
 from dataclasses import replace
@@ -25,7 +25,8 @@ jax.config.update("jax_enable_x64", True)
 jc.enable_compilation_cache()
 
 across = 5  # nodes across the strip
-width, length, t_end = 0.0125, 0.05, 0.24  # m, m, s
+width, length = 0.0125, 0.05  # m
+t_end = 0.24  # s
 pixels = 500
 true = {"young_modulus": 2.5e9, "drag_rate": 15.0}  # Pa, 1/s
 start = {"young_modulus": 2e9, "drag_rate": 25.0}
