@@ -26,7 +26,8 @@ root_doc = "docs/index"
 include_patterns = [
     "docs/*.md",
     "docs/api/*.md",
-    "docs/gallery/*",
+    "docs/gallery/*.md",
+    "docs/gallery/*.py",
     "notebooks/*.ipynb",
     "CHANGELOG.md",
     "CONTRIBUTING.md",

@@ -14,7 +14,7 @@ SMALL = {
         "nodes": 60,
         "cycles": 3,
         "height": 0.06,
-        "thickness": 0.5e-3,
+        "thickness": 0.0005,
         "yield_curvature": 60.0,
         "parts": {
             "roll": 0.03,
@@ -23,16 +23,24 @@ SMALL = {
             "unfold": 0.04,
             "flatten": 0.03,
             "rest": 0.01,
-        },  # fmt: skip
+        },
         "pixels": 60,
     },
+    "calibration": {"across": 4, "t_end": 0.08, "pixels": 100},
     "conical": {"nodes": 100, "contact": None, "yield_curvature": 150.0, "pull": 0.02, "pixels": 60},
+    "crease_gradient": {"nodes": 60, "rtol": 0.05, "pixels": 100},
     "cylindrical": {"nodes": 100, "height": 0.09, "compress": 0.05, "frames": 20, "pixels": 60},
     "dcone": {"nodes": 400, "pixels": 60},
+    "ensemble": {"nodes": 60, "seeds": 3, "pixels": 100},
     "fold": {"nodes": 60, "yield_curvatures": [20, 35, 50], "pixels": 60},
+    "holes": {"columns": 18, "rows": 16, "pixels": 100},
+    "phase_diagram": {"nodes": 60, "gaps": [0.03, 0.045], "yields": [15.0, 200.0], "backend": "batch"},
     "radial": {"nodes": 80, "contact": None, "t_end": 0.8, "pixels": 60},
-    "ridge": {"nodes": 1000, "thicknesses": [0.5e-3, 0.125e-3], "pixels": 60},
-    "stamping": {"nodes": 80, "contact": None, "gap": 8e-3, "pixels": 60},
+    "ridge": {"nodes": 1000, "thicknesses": [0.0005, 0.000125], "pixels": 60},
+    "scanned_mesh": {"nodes": 100},
+    "snap": {"nodes": 120, "heights": 10, "pixels": 100},
+    "stamping": {"nodes": 80, "contact": None, "gap": 0.008, "pixels": 60},
+    "thickness": {"across": 8, "pixels": 100},
 }
 # Largest size of a picture in bytes.
 LARGEST = 100_000
