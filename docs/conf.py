@@ -39,7 +39,7 @@ include_patterns = [
 myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
 myst_heading_anchors = 3
 nb_execution_mode = "off"
-nb_custom_formats = {".py": ["jupytext.reads", {"fmt": "py:percent"}]}
+nb_custom_formats = {".py": "percent_scripts.read"}
 
 # A name in single backticks in a docstring is a link where it is one of ours.
 default_role = "py:obj"
