@@ -6,6 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import ArrayLike, Real
 
 from jaxcrumple._jax.arrays import HingeValues, NodeValues, Scalar
 from jaxcrumple._jax.door import door, own_modes
@@ -151,7 +152,7 @@ def sheet(
     material: Material,
     *,
     walls: Sequence[Wall | AbstractShape] = (),
-    gravity: Sequence[float] | None = None,
+    gravity: Sequence[float] | Real[ArrayLike, "3"] | None = None,
     prescribed: Prescribed | None = None,
     extra: Sequence[ElementEnergy] = (),
     plasticity: AbstractFlowRule | None = None,

@@ -113,7 +113,7 @@ class Setup(NamedTuple):
             self.mesh,
             material,
             walls=walls,
-            gravity=None if scene.gravity is None else tuple(scene.gravity.g),
+            gravity=None if scene.gravity is None else scene.gravity.g,
             prescribed=scene.prescribed,
             extra=scene.extra,
             plasticity=plasticity,

@@ -79,7 +79,7 @@ def test_a_yield_point_that_a_flow_rule_of_ones_own_does_not_know_is_refused(cha
 
 
 def test_derivatives_by_the_material():
-    made = setup(walls=[WALL], contact=jc.SelfContact())
+    made = setup(walls=[WALL], contact=jc.SelfContact(), gravity=(0, 0, -9.81))
     x = X.at[:, 2].add(1e-3 * jnp.arange(len(X)))
 
     def stretch(modulus):
