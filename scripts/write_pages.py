@@ -107,6 +107,10 @@ def _group(name: str, rows: Sequence[Mapping[str, str]]) -> str:
     return "\n".join(text) + "\n"
 
 
-if __name__ == "__main__":
+def main() -> None:
     for path, text in pages().items():
         path.write_text(text)
+
+
+if __name__ == "__main__":
+    main()
