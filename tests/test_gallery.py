@@ -14,8 +14,7 @@ SMALL = {
         "nodes": 60,
         "cycles": 3,
         "height": 0.06,
-        "thickness": 0.5e-3,
-        "yield_curvature": 60.0,
+        "sheet": {"thickness": 0.5e-3, "yield_curvature": 60.0, "density": 1e4},
         "parts": {
             "roll": 0.03,
             "compress": 0.06,
@@ -23,7 +22,7 @@ SMALL = {
             "unfold": 0.04,
             "flatten": 0.03,
             "rest": 0.01,
-        },  # fmt: skip
+        },
         "pixels": 60,
     },
     "conical": {"nodes": 100, "contact": None, "yield_curvature": 150.0, "pull": 0.02, "pixels": 60},
@@ -32,7 +31,7 @@ SMALL = {
     "fold": {"nodes": 60, "yield_curvatures": [20, 35, 50], "pixels": 60},
     "radial": {"nodes": 80, "contact": None, "t_end": 0.8, "pixels": 60},
     "ridge": {"nodes": 1000, "thicknesses": [0.5e-3, 0.125e-3], "pixels": 60},
-    "stamping": {"nodes": 80, "contact": None, "gap": 8e-3, "pixels": 60},
+    "stamping": {"nodes": 80, "contact": None, "gap": 10e-3, "pixels": 60},
 }
 # Largest size of a picture in bytes.
 LARGEST = 100_000
