@@ -14,8 +14,7 @@ SMALL = {
         "nodes": 60,
         "cycles": 3,
         "height": 0.06,
-        "thickness": 0.0005,
-        "yield_curvature": 60.0,
+        "sheet": {"thickness": 0.0005, "yield_curvature": 60.0, "density": 10000.0},
         "parts": {
             "roll": 0.03,
             "compress": 0.06,
@@ -39,7 +38,7 @@ SMALL = {
     "ridge": {"nodes": 1000, "thicknesses": [0.0005, 0.000125], "pixels": 60},
     "scanned_mesh": {"nodes": 100},
     "snap": {"nodes": 120, "heights": 10, "pixels": 100},
-    "stamping": {"nodes": 80, "contact": None, "gap": 0.008, "pixels": 60},
+    "stamping": {"nodes": 80, "contact": None, "gap": 0.01, "pixels": 60},
     "thickness": {"across": 8, "pixels": 100},
 }
 # Largest size of a picture in bytes.
