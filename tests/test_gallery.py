@@ -13,14 +13,15 @@ SMALL = {
     "axial": {
         "nodes": 60,
         "cycles": 3,
-        "height": 0.06,
+        "height": 0.07,
+        "gap": 0.008,
         "sheet": {"thickness": 0.0005, "yield_curvature": 60.0, "density": 10000.0},
         "parts": {
             "roll": 0.03,
             "compress": 0.06,
             "open": 0.01,
-            "unfold": 0.04,
-            "flatten": 0.03,
+            "unfold": 0.06,
+            "flatten": 0.08,
             "rest": 0.01,
         },
         "pixels": 60,

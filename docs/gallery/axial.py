@@ -25,14 +25,15 @@ jc.enable_compilation_cache()
 nodes = 200
 cycles = 5
 height = 0.045  # m, under compression
+gap = 2e-3  # m, between the planes that flatten the sheet
 sheet = {"thickness": 0.25e-3, "yield_curvature": 200.0}  # m, 1/m
 parts = {"roll": 0.1, "compress": 0.2, "open": 0.03, "unfold": 0.12, "flatten": 0.08, "rest": 0.04}  # s
 pixels = 700  # longer side of the sheet in the picture
 
 # %%
-setup = jc.axial(
-    nodes, seed=1, cycles=cycles, height=height, contact=None, material=jc.Material(**sheet), **parts
-)
+material = jc.Material(**sheet)
+options = {"height": height, "gap": gap, "material": material, "contact": None}
+setup = jc.axial(nodes, seed=1, cycles=cycles, **options, **parts)
 state = jc.initial_state(setup.scene, setup.x)
 cycle, lasts = np.arange(1, cycles + 1), sum(parts.values())
 pressed = (cycle - 1) * lasts + parts["roll"] + parts["compress"]
