@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxcrumple._jax.arrays import NodeVectorsLike
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float, require_shape
 from jaxcrumple.model.loads import LinearMotion, Prescribed
@@ -37,7 +38,7 @@ def dcone(
     """Build a disc that is held at its middle while a hollow cone rises around it.
 
     It bends to a developable cone (Cerda & Mahadevan, Phys. Rev. Lett. 80 (1998) 2358). `free_sector`
-    measures its angle.
+    measures its angle, in the equilibrium that `relax` finds: at its end time the sheet still moves.
 
     **Arguments:** `nodes`, `seed`: number of nodes and seed of the random mesh; `radius` of the disc in m;
     `slope` of the cone's side; `speed` of the cone in m/s; `options` of the sheet: `SheetOptions`.
@@ -66,7 +67,7 @@ def dcone_time(radius: float, slope: float, speed: float) -> float:
 
 
 @door
-def free_sector(setup: Setup, x: Float[np.ndarray, "nodes 3"], t: float) -> float:
+def free_sector(setup: Setup, x: NodeVectorsLike, t: float) -> float:
     """Return the angle in rad of the sector in which a d-cone is off its cone.
 
     For a shallow cone it is about 139 degrees (Cerda & Mahadevan, Proc. R. Soc. A 461 (2005) 671). The
@@ -79,6 +80,7 @@ def free_sector(setup: Setup, x: Float[np.ndarray, "nodes 3"], t: float) -> floa
     **Raises:** ValueError for a wrong shape of `x`, or a sheet without such a sector.
     """
     require_shape("x", x, (setup.mesh.n_nodes, 3))
+    x = np.asarray(x)
     flat = np.linalg.norm(setup.mesh.vertices[:, :2], axis=1)
     share = flat / flat.max()
     ring = (share > RING[0]) & (share < RING[1])

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxcrumple._jax.arrays import NodeVectors, Scalar
+from jaxcrumple._jax.arrays import NodeVectors, NodeVectorsLike, Scalar
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float, require_shape
 from jaxcrumple.geometry.hinge import cross, gather, sub
@@ -139,7 +139,7 @@ def plates(size: float, gap: float, times: FoldTimes) -> list[Plane]:
 
 
 @door
-def fold_angle(mesh: Mesh, x: NodeVectors) -> Scalar:
+def fold_angle(mesh: Mesh, x: NodeVectorsLike) -> Scalar:
     """Return the angle in rad between the halves of a folded sheet at `x` (n, 3) in m: pi for a flat sheet.
 
     It is the angle phi_f of Fig. 3b. The `mesh` is that of the scene `fold`, whose fold lies at x = 0. The
@@ -148,6 +148,7 @@ def fold_angle(mesh: Mesh, x: NodeVectors) -> Scalar:
     **Raises:** ValueError for a wrong shape of `x`.
     """
     require_shape("x", x, (mesh.n_nodes, 3))
+    x = jnp.asarray(x)
     side = np.sign(mesh.vertices[mesh.faces, 0])
     away = np.abs(mesh.vertices[mesh.faces, 0]).min(axis=1) > FLAT * np.ptp(mesh.vertices[:, 0])
     one, two = (_normal(x, mesh.faces[away & np.all(side == sign, axis=1)]) for sign in (-1.0, 1.0))
