@@ -1,9 +1,9 @@
 """Every script of the gallery runs at a small size, and its picture and its text fit together."""
 
-import ast
 from pathlib import Path
 
 import pytest
+from smaller import smaller
 
 import jaxcrumple as jc
 
@@ -46,22 +46,6 @@ SMALL = {
 LARGEST = 100_000
 
 
-def shrunk(source: str, values: dict) -> ast.Module:
-    """Return the script with other values of the named constants that it assigns at its top level.
-
-    **Raises:** KeyError for a constant that the script does not assign.
-    """
-    tree, left = ast.parse(source), dict(values)
-    for statement in tree.body:
-        if isinstance(statement, ast.Assign) and len(statement.targets) == 1:
-            target = statement.targets[0]
-            if isinstance(target, ast.Name) and target.id in left:
-                statement.value = ast.parse(repr(left.pop(target.id)), mode="eval").body
-    if left:
-        raise KeyError(f"the script assigns no {sorted(left)} at its top level")
-    return ast.fix_missing_locations(tree)
-
-
 def first_cell(path: Path) -> str:
     """Return the text of the first cell, a cell of Markdown."""
     head, cell, *_ = path.read_text().split("# %% [markdown]\n")
@@ -73,7 +57,7 @@ def first_cell(path: Path) -> str:
 def test_a_script_runs_at_a_small_size(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(jc.Picture, "save", lambda self, name: Path(name).write_bytes(b"JPEG"))
-    code = compile(shrunk(path.read_text(), SMALL[path.stem]), str(path), "exec")
+    code = compile(smaller(path.read_text(), SMALL[path.stem]), str(path), "exec")
     exec(code, {"__name__": path.stem})
     assert (tmp_path / f"{path.stem}.jpg").exists()
 
@@ -86,11 +70,3 @@ def test_a_script_has_a_title_and_its_picture(path):
     picture = path.with_suffix(".jpg")
     assert picture.read_bytes()[:2] == b"\xff\xd8"
     assert picture.stat().st_size <= LARGEST
-
-
-def test_a_constant_that_a_script_lacks_is_refused():
-    code = compile(shrunk("nodes = 400\nedge = nodes**2", {"nodes": 3}), "script", "exec")
-    exec(code, found := {})
-    assert found["edge"] == 9
-    with pytest.raises(KeyError, match="nodes"):
-        shrunk("def f():\n    nodes = 400", {"nodes": 3})
