@@ -9,7 +9,18 @@ import numpy as np
 import pytest
 from folded import folded, strip
 
-from jaxcrumple import Material, SelfContact, disc, radial, rectangle, sheet, with_contacts
+from jaxcrumple import (
+    Material,
+    SelfContact,
+    disc,
+    initial_state,
+    integrate,
+    integrator,
+    radial,
+    rectangle,
+    sheet,
+    with_contacts,
+)
 from jaxcrumple.assembly.coarse_space import build_coarse_space
 from jaxcrumple.geometry.hinge import curvature
 from jaxcrumple.solvers.linear.block_jacobi import BlockCG
@@ -211,3 +222,17 @@ def test_layers_that_press_one_another_are_not_taken_for_unstable(solver):
     assert int(negative) <= 0 and not bool(solution.indefinite)
     left = rhs - whole @ solution.x
     assert jnp.linalg.norm(left) < 1.1e-6 * jnp.linalg.norm(rhs)
+
+
+@pytest.mark.parametrize("nodes", [64, 65])
+def test_lanes_of_any_size_can_be_traced(nodes):
+    """The blocks of 48 unknowns hold 64 nodes without padding."""
+    setup = radial(nodes, sweeps=3, contact=None)
+    start = initial_state(setup.scene, setup.x)
+
+    def lane(radius):
+        scene = eqx.tree_at(lambda s: s.walls[0].shape.radius.start, setup.scene, radius)
+        return integrate(scene, start, 0.01, integrator(rtol=1e-2, linear="two-level"))[0].x
+
+    traced = eqx.filter_eval_shape(eqx.filter_vmap(lane), jnp.array([0.071, 0.0712]))
+    assert traced.shape == (2, nodes, 3)

@@ -106,4 +106,4 @@ def apply_blocks(
 
 def pad_blocks(r: Float[Array, " unknowns"], count: int, size: int) -> Float[Array, "blocks size"]:
     """Reshape a vector to rows (count, size), padded with zeros."""
-    return jnp.zeros(count * size, r.dtype).at[: r.shape[0]].set(r).reshape(count, size)
+    return jnp.pad(r, (0, count * size - r.shape[0])).reshape(count, size)
