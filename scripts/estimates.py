@@ -19,9 +19,9 @@ from pathlib import Path
 from benchlib import Log, markdown, options, save
 
 from jaxcrumple.contact.potentials import DEFAULT_POTENTIAL
-from jaxcrumple.run.check import rounded
 from jaxcrumple.run.config import RunConfig, configure
 from jaxcrumple.run.estimate import estimate
+from jaxcrumple.run.pace import rounded
 from jaxcrumple.run.run import start_run
 
 NODES, BUILT, T_END = (300, 1000, 3000), (30_000, 100_000), 0.6

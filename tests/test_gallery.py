@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import matplotlib
+import matplotlib.pyplot as plt
 import pytest
 from smaller import smaller
 
@@ -53,7 +55,17 @@ def first_cell(path: Path) -> str:
     return "\n".join(line.removeprefix("#").removeprefix(" ") for line in cell.split("# %%")[0].splitlines())
 
 
+@pytest.fixture
+def _own_figures():
+    """Close the figures of a script, and restore the settings that it changes."""
+    with matplotlib.rc_context():
+        plt.switch_backend("Agg")
+        yield
+    plt.close("all")
+
+
 @pytest.mark.parametrize("path", GALLERY, ids=lambda path: path.stem)
+@pytest.mark.usefixtures("_own_figures")
 def test_a_script_runs_at_a_small_size(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(jc.Picture, "save", lambda self, name: Path(name).write_bytes(b"JPEG"))

@@ -35,10 +35,10 @@ def duration(seconds: float) -> str:
     """Format a wall time with two significant digits: "40 s", "12 min", "3.4 h" or "2.5 days"."""
     for size, name in ((86400.0, "days"), (3600.0, "h"), (60.0, "min")):
         if seconds >= 2 * size:
-            return f"{_rounded(seconds / size)} {name}"
-    return f"{_rounded(seconds)} s"
+            return f"{rounded(seconds / size)} {name}"
+    return f"{rounded(seconds)} s"
 
 
-def _rounded(value: float) -> str:
+def rounded(value: float) -> str:
     """Format with two significant digits, without an exponent."""
     return f"{float(f'{value:.2g}'):.10g}"
