@@ -44,6 +44,8 @@ SMALL = {
     "stamping": {"nodes": 80, "contact": None, "gap": 0.01, "pixels": 60},
     "thickness": {"across": 8, "pixels": 100},
 }
+# Compile for more than 20 s of CPU time.
+LONG = ("calibration", "crease_gradient")
 # Largest size of a picture in bytes.
 LARGEST = 100_000
 
@@ -64,7 +66,11 @@ def _own_figures():
     plt.close("all")
 
 
-@pytest.mark.parametrize("path", GALLERY, ids=lambda path: path.stem)
+def _case(path: Path):
+    return pytest.param(path, marks=pytest.mark.slow if path.stem in LONG else (), id=path.stem)
+
+
+@pytest.mark.parametrize("path", [_case(path) for path in GALLERY])
 @pytest.mark.usefixtures("_own_figures")
 def test_a_script_runs_at_a_small_size(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
