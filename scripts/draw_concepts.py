@@ -15,9 +15,10 @@ jax.config.update("jax_enable_x64", True)
 
 import jaxcrumple as jc  # noqa: E402
 from jaxcrumple.measure import center_of_mass, thick_section  # noqa: E402
+from jaxcrumple.plot.plot import STAGE_COLORS  # noqa: E402
+from jaxcrumple.solvers.log import STEP  # noqa: E402
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
-COLORS = {"implicit": "#e8a33d", "explicit": "#d9541e", "quasistatic": "#1f6fb4"}
 
 
 def plain(width: float = 6.0, height: float = 3.6) -> tuple[Figure, Axes]:
@@ -59,9 +60,9 @@ def crumple(folder: Path) -> jc.Run:
 def stages(run: jc.Run) -> None:
     """Step size of each accepted step over time, by stage."""
     figure, axes = plain()
-    steps = run.history[run.history["kind"] == 0]
+    steps = run.history[run.history["kind"] == STEP]
     for stage, rows in steps.groupby("stage"):
-        axes.semilogy(rows["t"], rows["h"], ".", markersize=2, color=COLORS[str(stage)], label=stage)
+        axes.semilogy(rows["t"], rows["h"], ".", markersize=2, color=STAGE_COLORS[str(stage)], label=stage)
     axes.set(xlabel="time [s]", ylabel="step size [s]")
     axes.legend(markerscale=5, frameon=False)
     save(figure, "stages")

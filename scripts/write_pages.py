@@ -1,14 +1,16 @@
 """Write docs/performance.md and docs/validation.md from the tables and plots in scripts/results."""
 
-import csv
 import tomllib
-from collections.abc import Mapping, Sequence
-from itertools import groupby
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+from benchlib import RESULTS, markdown
+from validate import NUMBERS, numbers
+
 SCRIPTS = Path(__file__).parent
-RESULTS, DOCS = SCRIPTS / "results", SCRIPTS.parent / "docs"
+DOCS = SCRIPTS.parent / "docs"
 # A table with more rows than this is folded.
 ROWS = 18
 
@@ -28,12 +30,11 @@ VALIDATION = """\
 
 {benchmarks} classical benchmarks of plates, beams, shells, folds, contact, dynamics and crumpling, posed
 through the public interface by `python scripts/validate.py`. Expected values are closed forms, published
-numbers or independent numerical solutions. The accepted deviation covers the discretisation of the mesh. All
+numbers or independent numerical solutions. The tolerance covers the discretisation of the mesh. All
 {quantities} quantities are within it. The largest deviation below is {largest:.1f} %: {where}.
 
 A benchmark on two meshes shows the finer one here; the whole table is `scripts/results/validation.md`.
 """
-COLUMNS = ("benchmark", "quantity", "expected", "measured", "deviation %", "accepted %", "mesh")
 
 
 def pages() -> dict[Path, str]:
@@ -66,44 +67,32 @@ def _table(name: str) -> str:
 
 def validation() -> str:
     """Return the page of the validation benchmarks."""
-    with (RESULTS / "validation.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = pd.read_csv(RESULTS / "validation.csv", keep_default_na=False)
     # A later row of the same quantity is of a finer mesh.
-    shown = list({(row["benchmark"], row["quantity"]): row for row in rows}.values())
-    worst = max(shown, key=lambda row: abs(float(row["deviation_percent"])))
+    shown = rows.drop_duplicates(["benchmark", "quantity"], keep="last")
+    worst = shown.loc[shown["deviation_percent"].abs().idxmax()]
     head = VALIDATION.format(
-        benchmarks=len({row["benchmark"] for row in rows}),
+        benchmarks=rows["benchmark"].nunique(),
         quantities=len(rows),
-        largest=abs(float(worst["deviation_percent"])),
+        largest=abs(worst["deviation_percent"]),
         where=f"{worst['title'][:1].lower()}{worst['title'][1:]}",
     )
-    groups = groupby(shown, lambda row: row["group"])
+    groups = shown.groupby("group", sort=False)
     stamp = (RESULTS / "validation.md").read_text().strip().splitlines()[-1]
-    return head + "".join(_group(name, list(found)) for name, found in groups) + f"\n{stamp}\n"
+    return head + "".join(_group(str(name), found) for name, found in groups) + f"\n{stamp}\n"
 
 
-def _group(name: str, rows: Sequence[Mapping[str, str]]) -> str:
+def _group(name: str, rows: pd.DataFrame) -> str:
     """Return the table of a group, the sources of its benchmarks, and why larger deviations arise."""
-    lines = [f"| {' | '.join(COLUMNS)} |", f"|{'---|' * len(COLUMNS)}"]
-    for title, found in groupby(rows, lambda row: row["title"]):
-        for number, row in enumerate(found):
-            unit = "" if row["unit"] == "1" else f" [{row['unit']}]"
-            cells = (
-                title if number == 0 else "",
-                row["quantity"] + unit,
-                f"{float(row['expected']):.5g}",
-                f"{float(row['measured']):.5g}",
-                f"{float(row['deviation_percent']):+.2f}",
-                f"{float(row['tolerance_percent']):.2g}",
-                row["mesh"],
-            )
-            lines.append(f"| {' | '.join(cells)} |")
-    sources = {row["title"]: row["source"] for row in rows}
-    causes = {f"{row['title']}, {row['quantity']}": row["why"] for row in rows if row["why"]}
-    text = [f"\n## {name.capitalize()}\n", *lines, "\nSources:\n"]
-    text += [f"* {title}: {source}." for title, source in sources.items()]
-    if causes:
-        text += ["\nDeviations above 1 %:\n", *(f"* {what}: {why}." for what, why in causes.items())]
+    first = ~rows["title"].duplicated()
+    cells = [
+        [row.title if begins else "", *numbers(row)]
+        for row, begins in zip(rows.itertuples(), first, strict=True)
+    ]
+    text = [f"\n## {name.capitalize()}\n", markdown(("benchmark", *NUMBERS), cells), "\nSources:\n"]
+    text += [f"* {row.title}: {row.source}." for row in rows[first].itertuples()]
+    if causes := [f"* {row.title}, {row.quantity}: {row.why}." for row in rows.itertuples() if row.why]:
+        text += ["\nDeviations above 1 %:\n", *causes]
     return "\n".join(text) + "\n"
 
 

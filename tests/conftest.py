@@ -89,3 +89,16 @@ def in_process(monkeypatch, capsys):
         return caught.value.code, capsys.readouterr()
 
     return call
+
+
+@pytest.fixture
+def own_figures(monkeypatch):
+    """Keep the figures of a script off the screen, close them, and restore the settings that it changes."""
+    import matplotlib
+    import matplotlib.pyplot as plt
+
+    monkeypatch.setattr(plt, "show", lambda: None)
+    with matplotlib.rc_context({"figure.dpi": 40}):
+        plt.switch_backend("Agg")
+        yield
+    plt.close("all")

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 import write_pages
+from slow_cases import by_stem
 
 ROOT = Path(__file__).parents[1]
 # Pages whose code runs from top to bottom.
@@ -34,11 +35,7 @@ def test_the_readme_is_short():
     assert len((ROOT / "README.md").read_text().split()) < 700
 
 
-def _case(page: Path):
-    return pytest.param(page, marks=pytest.mark.slow if page.stem in LONG else (), id=page.stem)
-
-
-@pytest.mark.parametrize("page", [_case(page) for page in (*PAGES, ROOT / "README.md")])
+@pytest.mark.parametrize("page", by_stem([*PAGES, ROOT / "README.md"], LONG))
 def test_a_page_runs_from_top_to_bottom(page, capsys):
     names = {"__name__": page.stem}
     blocks = list(BLOCK.finditer(page.read_text()))

@@ -2,9 +2,8 @@
 
 from pathlib import Path
 
-import matplotlib
-import matplotlib.pyplot as plt
 import pytest
+from slow_cases import by_stem
 from smaller import smaller
 
 import jaxcrumple as jc
@@ -57,21 +56,8 @@ def first_cell(path: Path) -> str:
     return "\n".join(line.removeprefix("#").removeprefix(" ") for line in cell.split("# %%")[0].splitlines())
 
 
-@pytest.fixture
-def _own_figures():
-    """Close the figures of a script, and restore the settings that it changes."""
-    with matplotlib.rc_context():
-        plt.switch_backend("Agg")
-        yield
-    plt.close("all")
-
-
-def _case(path: Path):
-    return pytest.param(path, marks=pytest.mark.slow if path.stem in LONG else (), id=path.stem)
-
-
-@pytest.mark.parametrize("path", [_case(path) for path in GALLERY])
-@pytest.mark.usefixtures("_own_figures")
+@pytest.mark.parametrize("path", by_stem(GALLERY, LONG))
+@pytest.mark.usefixtures("own_figures")
 def test_a_script_runs_at_a_small_size(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(jc.Picture, "save", lambda self, name: Path(name).write_bytes(b"JPEG"))

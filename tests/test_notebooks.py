@@ -4,9 +4,8 @@ import json
 import re
 from pathlib import Path
 
-import matplotlib
-import matplotlib.pyplot as plt
 import pytest
+from slow_cases import by_stem
 from smaller import smaller
 
 ROOT = Path(__file__).parents[1]
@@ -43,22 +42,8 @@ LARGEST = 400_000
 PATH = re.compile(r"(?<![\w.])/(?:tmp|root|home|Users|work)/")
 
 
-def _case(path: Path):
-    return pytest.param(path, marks=pytest.mark.slow if path.stem in LONG else (), id=path.stem)
-
-
 def _cells(path: Path, kind: str) -> list[dict]:
     return [cell for cell in json.loads(path.read_text())["cells"] if cell["cell_type"] == kind]
-
-
-@pytest.fixture
-def _no_windows(monkeypatch):
-    """Keep figures off the screen, and restore the settings that a notebook changes."""
-    monkeypatch.setattr(plt, "show", lambda: None)
-    with matplotlib.rc_context({"figure.dpi": 40}):
-        plt.switch_backend("Agg")
-        yield
-    plt.close("all")
 
 
 def test_every_notebook_has_a_small_size():
@@ -74,8 +59,8 @@ def test_smaller_replaces_constants_and_refuses_other_names():
         smaller(source, {"nodes": 3, "knots": 1, "size": 2})
 
 
-@pytest.mark.parametrize("path", [_case(path) for path in NOTEBOOKS])
-@pytest.mark.usefixtures("_no_windows")
+@pytest.mark.parametrize("path", by_stem(NOTEBOOKS, LONG))
+@pytest.mark.usefixtures("own_figures")
 def test_a_notebook_runs_at_a_small_size(path):
     source = "\n\n".join("".join(cell["source"]) for cell in _cells(path, "code"))
     exec(compile(smaller(source, SMALL[path.stem]), path.name, "exec"), {"__name__": path.stem})

@@ -12,12 +12,10 @@ TABLE = validate.RESULTS / "validation.csv"
 SLOW = {name for name, benchmark in BENCHMARKS.items() if not benchmark.quick}
 
 
-def cases():
-    for name in BENCHMARKS:
-        yield pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else [])
+CASES = [pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else []) for name in BENCHMARKS]
 
 
-@pytest.mark.parametrize("name", cases())
+@pytest.mark.parametrize("name", CASES)
 def test_a_benchmark_is_within_its_tolerance(name):
     outcomes = BENCHMARKS[name].run()
     assert outcomes

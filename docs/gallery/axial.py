@@ -51,13 +51,8 @@ assert length[-1] < 0.6 * cycles * length[0]
 # %%
 run = jc.Run.from_solution(setup.mesh, setup.scene, solution)
 picture = jc.picture(run, -2, field="damage", walls=False, pixels=pixels)
-figure = picture.figure
-figure.suptitle("")
-figure.set_size_inches(5.6, 3.1)
-figure.axes[1].set_ylabel("plastic curvature $p$ [-]")
-left, right = figure.add_gridspec(1, 2)
-figure.axes[0].set_subplotspec(left)
-axes = figure.add_subplot(right, xlabel="cycle $n$", ylabel="crease length [m]")
+picture.figure.axes[1].set_ylabel("plastic curvature $p$ [-]")
+axes = picture.beside(xlabel="cycle $n$", ylabel="crease length [m]")
 n, (c1, c2) = np.linspace(0, cycles, 100), laws.loc["logarithmic", ["c1", "c2"]]
 axes.plot(n, c1 * np.log1p(c2 * n), color="grey", label=r"$c_1 \ln(1 + c_2 n)$")
 axes.plot(cycle, length, "o", color="#d9541e")

@@ -59,12 +59,7 @@ assert contact is None or count_intersections(mesh, x) == 0
 # %%
 run = jc.Run.from_solution(mesh, setup.scene, solution)
 picture = jc.picture(run, field="paper", walls=False, view=(-0.45, -0.8, 0.3), pixels=pixels)
-figure = picture.figure
-figure.suptitle("")
-figure.set_size_inches(5.6, 3.1)
-left, right = figure.add_gridspec(1, 2)
-figure.axes[0].set_subplotspec(left)
-axes = figure.add_subplot(right, xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
+axes = picture.beside(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
 axes.set_title("section with the plate", fontsize=10)
 axes.add_patch(Circle((0, 0), 1e3 * opening, color="#cfe0ee"))
 axes.add_collection(LineCollection(1e3 * section.ends, color="#d9541e", capstyle="round"))

@@ -48,12 +48,7 @@ assert np.median(force[peak + 1 :]) < 0.5 * force[peak]
 # %%
 run = jc.Run.from_solution(setup.mesh, setup.scene, solution)
 picture = jc.picture(run, field="paper", walls=False, view=(0.7, -0.8, 0.4), pixels=pixels)
-figure = picture.figure
-figure.suptitle("")
-figure.set_size_inches(5.6, 3.1)
-left, right = figure.add_gridspec(1, 2, width_ratios=(1, 1.4))
-figure.axes[0].set_subplotspec(left)
-axes = figure.add_subplot(right, xlabel="height [cm]", ylabel="force [N]")
+axes = picture.beside(1.4, xlabel="height [cm]", ylabel="force [N]")
 axes.plot(100 * tall, force, color="#d9541e")
 axes.axhline(classical, color="grey", linestyle="--", label="buckling of a perfect cylinder")
 axes.set_xlim(100 * size, 100 * height)

@@ -60,13 +60,8 @@ turn = x[outer, 0] + 1j * x[outer, 1]
 angle = np.rad2deg(np.angle(turn / np.sum(lifted**2 * turn / r[outer])))  # from the middle of the sector
 run = jc.Run.from_solution(mesh, setup.scene, replace(solution, x=x[None]))
 picture = jc.picture(run, field="curvature", view=(-0.45, -0.8, 0.7), pixels=pixels)
-figure = picture.figure
-figure.suptitle("")
-figure.set_size_inches(5.6, 3.1)
-figure.axes[1].set_ylabel("mean curvature [1/m]")
-left, right = figure.add_gridspec(1, 2, width_ratios=(1.4, 1))
-figure.axes[0].set_subplotspec(left)
-axes = figure.add_subplot(right, xlabel="angle [degrees]", ylabel="height over the cone $/ r$ [-]")
+picture.figure.axes[1].set_ylabel("mean curvature [1/m]")
+axes = picture.beside(1 / 1.4, xlabel="angle [degrees]", ylabel="height over the cone $/ r$ [-]")
 axes.axvspan(-0.5 * sector, 0.5 * sector, color="#d9541e", alpha=0.15)
 axes.scatter(angle, lifted, 3, "black")
 axes.set_xticks([-180, 0, 180])

@@ -49,12 +49,7 @@ assert correlation < -0.97
 
 # %%
 picture = jc.picture(runs[shown], field="paper", walls=False, view=(0.35, -1.0, 0.2), pixels=pixels)
-figure = picture.figure
-figure.suptitle("")
-figure.set_size_inches(5.6, 3.1)
-left, right = figure.add_gridspec(1, 2, width_ratios=(1, 1.2))
-figure.axes[0].set_subplotspec(left)
-axes = figure.add_subplot(right, xlabel="yield curvature $C_y$ [1/m]", ylabel="fold curvature $c_f$ [-]")
+axes = picture.beside(1.2, xlabel="yield curvature $C_y$ [1/m]", ylabel="fold curvature $c_f$ [-]")
 axes.plot(yield_curvatures, np.polyval([slope, offset], yield_curvatures), color="grey")
 axes.plot(yield_curvatures, c_f, "o", color="#d9541e")
 for place, angle in zip(zip(yield_curvatures, c_f, strict=True), np.rad2deg(angles), strict=True):

@@ -48,12 +48,7 @@ assert contact is None or count_intersections(setup.mesh, solution.x[-1]) == 0
 # %%
 run = jc.Run.from_solution(setup.mesh, setup.scene, solution)
 picture = jc.picture(run, field="paper", pixels=pixels)
-figure = picture.figure
-figure.suptitle("")
-figure.set_size_inches(5.6, 3.1)
-left, right = figure.add_gridspec(1, 2, width_ratios=(1, 1.1))
-figure.axes[0].set_subplotspec(left)
-axes = figure.add_subplot(right, xlabel="radius of the sphere [cm]", ylabel="energy [mJ]")
+axes = picture.beside(1.1, xlabel="radius of the sphere [cm]", ylabel="energy [mJ]")
 parts = {
     "bending": stored["bending"],
     "stretch, contact": stored.drop(columns="bending").sum(axis=1),

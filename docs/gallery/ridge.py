@@ -45,13 +45,8 @@ assert abs(exponent + 1 / 3) < 0.05
 # %%
 run = jc.Run.from_solution(setup.mesh, setup.scene, solution)
 picture = jc.picture(run, field="curvature", view=(0.6, -0.8, -0.6), up=(0, 0, -1), pixels=pixels)
-figure = picture.figure
-figure.suptitle("")
-figure.set_size_inches(5.6, 3.1)
-figure.axes[1].set_ylabel("mean curvature [1/m]")
-left, right = figure.add_gridspec(1, 2, width_ratios=(1.3, 1))
-figure.axes[0].set_subplotspec(left)
-axes = figure.add_subplot(right, xlabel="slenderness $X / h$ [-]", ylabel="$C X$ [-]")
+picture.figure.axes[1].set_ylabel("mean curvature [1/m]")
+axes = picture.beside(1 / 1.3, xlabel="slenderness $X / h$ [-]", ylabel="$C X$ [-]")
 slender = length / np.array(thicknesses)
 axes.loglog(slender, length * curvatures[-1] * (slender / slender[-1]) ** (1 / 3), color="grey")
 axes.loglog(slender, length * np.array(curvatures), "o", color="#d9541e")

@@ -56,12 +56,7 @@ assert contact is None or count_intersections(mesh, x) == 0
 # %%
 run = jc.Run.from_solution(mesh, setup.scene, solution)
 picture = jc.picture(run, field="paper", walls=False, view=(-0.2, -0.8, 1.0), pixels=pixels)
-figure = picture.figure
-figure.suptitle("")
-figure.set_size_inches(5.6, 3.1)
-left, right = figure.add_gridspec(1, 2, width_ratios=(1.1, 1))
-figure.axes[0].set_subplotspec(left)
-axes = figure.add_subplot(right, xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
+axes = picture.beside(1 / 1.1, xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
 turn = np.linspace(0, 2 * np.pi, 200)
 axes.plot(
     1e3 * circle * np.cos(turn), 1e3 * circle * np.sin(turn), "--", color="grey", label="circle on the sphere"

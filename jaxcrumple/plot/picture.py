@@ -9,9 +9,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
@@ -29,6 +30,8 @@ from jaxcrumple.plot.surroundings import wall_shapes
 
 # Frames per second of a film, longer side of its sheet in pixels, and its dots per inch.
 RATE, FILM_PIXELS, FILM_DPI = 10.0, 700, 100
+# Width and height in inches of a picture beside axes.
+PAIR = (5.6, 3.1)
 # Pixels per inch of a picture in print.
 PRINT_PIXELS = 300
 # Extensions of films.
@@ -44,6 +47,18 @@ class Picture:
 
     def _repr_png_(self) -> bytes:
         return encoded(self.figure, "png")
+
+    def beside(self, ratio: float = 1.0, **labels: Any) -> Axes:
+        """Return new axes to the right of the picture, which loses its caption.
+
+        **Arguments:** `ratio`: width of the axes over that of the picture; `labels`: keywords of Matplotlib's
+        `add_subplot`, such as xlabel.
+        """
+        self.figure.suptitle("")
+        self.figure.set_size_inches(*PAIR)
+        grid = self.figure.add_gridspec(1, 2, width_ratios=(1.0, ratio))
+        self.figure.axes[0].set_subplotspec(grid[0])
+        return self.figure.add_subplot(grid[1], **labels)
 
     def save(self, path: str | Path) -> Path:
         """Write the picture in the format of the extension of `path` (.png, .pdf, .svg, ...).

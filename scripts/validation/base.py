@@ -125,6 +125,22 @@ class Strip(NamedTuple):
         density = PLAIN.density * PLAIN.thickness * self.mesh.area
         return density / self.mesh.n_nodes * (self.rows + 1) / self.spacing
 
+    def clamp(self, both: bool) -> tuple[np.ndarray, float]:
+        """Return the nodes (n,) that clamp one end or `both` ends, and the free length in m.
+
+        Two zigzag columns are held. The hinges across a bond between a held and a free column bend, and stand
+        for a length of a/2, so that the clamp lies a/2 behind the last held node. The mass of a free end
+        reaches, on the mean of its rows, a/4 beyond the last node.
+        """
+        along = self.mesh.vertices[:, 0]
+        first, last = along.min() + 1.6 * self.spacing, along.max() - 1.6 * self.spacing
+        held = along < first
+        start = along[held].max() - 0.5 * self.spacing
+        if not both:
+            return held, along.max() + 0.25 * self.spacing - start
+        other = along > last
+        return held | other, along[other].min() + 0.5 * self.spacing - start
+
     def __str__(self) -> str:
         return f"lattice, {self.mesh.n_nodes} nodes"
 

@@ -1,5 +1,7 @@
 """Beams: narrow strips that bend, vibrate, buckle and twist: Euler-Bernoulli theory and the elastica."""
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.integrate import solve_bvp
 from scipy.optimize import brentq
@@ -19,21 +21,11 @@ TOLERANCE = 0.015
 FREE = "clamps and sharp bends keep the strip from bending across: it is up to 9/8 stiffer there"
 
 
-def ends(band: Strip, both: bool) -> tuple[np.ndarray, float]:
-    """Return the nodes (n,) that clamp one end or `both` ends, and the free length in m.
-
-    Two zigzag columns are held. The hinges across a bond between a held and a free column bend, and stand for
-    a length of a/2, so that the clamp lies a/2 behind the last held node. The mass of a free end reaches, on
-    the mean of its rows, a/4 beyond the last node.
-    """
-    along = band.mesh.vertices[:, 0]
-    first, last = along.min() + 1.6 * band.spacing, along.max() - 1.6 * band.spacing
-    held = along < first
-    start = along[held].max() - 0.5 * band.spacing
-    if not both:
-        return held, along.max() + 0.25 * band.spacing - start
-    other = along > last
-    return held | other, along[other].min() + 0.5 * band.spacing - start
+def clamped_strips(both: bool) -> Iterator[tuple[Strip, np.ndarray, float]]:
+    """Yield a coarse and a fine strip, nodes (n,) that clamp one end or `both`, and the free length in m."""
+    for columns, layers in SIZES:
+        band = strip(columns, layers, WIDTH)
+        yield band, *band.clamp(both)
 
 
 def elastica(load: float, where: float) -> np.ndarray:
@@ -61,9 +53,7 @@ def elastica(load: float, where: float) -> np.ndarray:
 def heavy_cantilever() -> list[Outcome]:
     """Tip of a cantilever that bends far under its own weight."""
     rows = []
-    for columns, layers in SIZES:
-        band = strip(columns, layers, WIDTH)
-        held, length = ends(band, both=False)
+    for band, held, length in clamped_strips(both=False):
         gravity = 10.0 * band.bending / (band.mass * length**3)
         x = band.mesh.vertices
         scene = jc.sheet(band.mesh, PLAIN, gravity=(0.0, 0.0, -gravity), prescribed=fixed(held, x))
@@ -83,9 +73,7 @@ def heavy_cantilever() -> list[Outcome]:
 def cantilever_frequencies() -> list[Outcome]:
     """Lowest three bending frequencies of a cantilever."""
     rows = []
-    for columns, layers in SIZES:
-        band = strip(columns, layers, WIDTH)
-        held, length = ends(band, both=False)
+    for band, held, length in clamped_strips(both=False):
         scene = jc.sheet(band.mesh, PLAIN, prescribed=fixed(held, band.mesh.vertices))
         values, shapes = modes(scene, band.mesh.vertices, 10)
         heights = shapes.reshape(-1, 3, 10)[:, 2]
@@ -105,9 +93,7 @@ def cantilever_frequencies() -> list[Outcome]:
 def euler_strut() -> list[Outcome]:
     """Compression at which a strip with clamped ends buckles."""
     rows = []
-    for columns, layers in SIZES:
-        band = strip(columns, layers, WIDTH)
-        held, length = ends(band, both=True)
+    for band, held, length in clamped_strips(both=True):
         flat, unit = band.mesh.vertices, 1e-5
         scene = jc.sheet(band.mesh, PLAIN, prescribed=fixed(held, flat * [1.0 - unit, 1.0, 1.0]))
         squeezed = at_rest(scene, flat + (flat * [1.0 - unit, 1.0, 1.0] - flat) * held[:, None])
@@ -128,9 +114,7 @@ def euler_strut() -> list[Outcome]:
 def buckled_elastica() -> list[Outcome]:
     """Height and load of a strip far beyond buckling, its ends closer by 0.3 of its length."""
     rows = []
-    for columns, layers in SIZES:
-        band = strip(columns, layers, WIDTH)
-        held, length = ends(band, both=True)
+    for band, held, length in clamped_strips(both=True):
         flat, short = band.mesh.vertices, 0.3
         target = flat - np.sign(flat[:, :1]) * [0.5 * short * length, 0.0, 0.0]
         start = flat * [1.0 - short, 1.0, 1.0]

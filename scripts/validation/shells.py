@@ -242,8 +242,7 @@ def snapping_arch() -> list[Outcome]:
     for columns, layers in ((40, 2), (80, 4)):
         flat = strip(columns, layers, 1.5e-3)
         x, y, _ = flat.mesh.vertices.T
-        held = np.abs(x) > np.abs(x).max() - 1.6 * flat.spacing
-        span = 2.0 * (np.abs(x[held]).min() + 0.5 * flat.spacing)
+        held, span = flat.clamp(both=True)
         rise = span / 32.0
         radius = (span**2 / 4.0 + rise**2) / (2.0 * rise)
         height = radius * np.cos(x / radius) - radius + rise
