@@ -31,7 +31,9 @@ from .model.walls import (
 )
 from .observers import Observer, PhaseObserver
 from .options.validation import ConfigError
-from .plot.picture import Picture, film, picture
+from .plot.draw import Picture, draw_sheet
+from .plot.film import film
+from .plot.picture import picture
 from .plot.polydata import polydata
 from .replays.record import Record
 from .replays.replay import Replay, replay
@@ -64,7 +66,7 @@ from .state import RESULTS, State, initial_state
 from .sweeps.campaign import campaign
 from .sweeps.cases import grid
 from .sweeps.sweep import sweep
-from .system import elastic_tangent, energies, force, mass_matrix, potential_energy, tangent
+from .system import elastic_tangent, energies, force, mass_matrix, potential_energy, reaction, tangent
 from .viewer.page import view
 
 __all__ = [
@@ -126,6 +128,7 @@ __all__ = [
     "cylindrical",
     "dcone",
     "disc",
+    "draw_sheet",
     "elastic_tangent",
     "enable_compilation_cache",
     "energies",
@@ -152,6 +155,7 @@ __all__ = [
     "potential_energy",
     "preset",
     "radial",
+    "reaction",
     "read_scene_file",
     "rectangle",
     "relax",

@@ -278,6 +278,15 @@ def check_state(scene: Scene, state: State) -> None:
 
     **Raises:** ValueError that states the difference.
     """
+    check_fits(scene, state)
+    _check_supports(scene, state.x, state.t)
+
+
+def check_fits(scene: Scene, state: State) -> None:
+    """Check that a state fits a scene, wherever its supports hold it.
+
+    **Raises:** ValueError that states the difference.
+    """
     check_scene(scene)
     if not isinstance(state, State):
         raise ValueError(f"state has type {type(state).__name__}; it must be a State from initial_state.")
@@ -297,7 +306,6 @@ def check_state(scene: Scene, state: State) -> None:
         raise ValueError(f"the state has {state.p.shape[0]} hinges, the scene {hinges[0]}; {cure}")
     if state.p is not None:
         require_finite("the state's p", state.p)
-    _check_supports(scene, state.x, state.t)
 
 
 def _check_supports(scene: Scene, x: NodeVectors, t: Scalar) -> None:

@@ -154,6 +154,33 @@ def force(
     return _force_and_rate(scene, x, v, p, t)[0]
 
 
+@door
+def reaction(
+    scene: Scene, x: NodeVectorsLike, v: NodeVectorsLike, p: HingeValuesLike | None, t: ScalarLike
+) -> NodeVectors:
+    """Compute the forces (n, 3) in N that supports exert on the components they hold, 0 elsewhere.
+
+    They are M a - F(x, v, p, t) (eq. 2), for the acceleration a of the prescribed motion.
+
+    **Arguments:** as of `energies`.
+
+    **Raises:** ValueError as `energies` does.
+
+    >>> mesh = jc.hexagonal(5, 4, 2e-3)
+    >>> hold = jc.Prescribed(np.ones((mesh.n_nodes, 3), bool), jc.LinearMotion(mesh.vertices, (0, 0, 0)))
+    >>> scene = jc.sheet(mesh, jc.Material(), gravity=(0, 0, -9.81), prescribed=hold)
+    >>> held = jc.reaction(scene, mesh.vertices, np.zeros_like(mesh.vertices), None, 0.0)
+    >>> print(jnp.round(held.sum(axis=0) / scene.mass.sum(), 6) + 0.0)  # m/s2
+    [0.   0.   9.81]
+    """
+    (x, v), (p, t) = nodal(scene, x=x, v=v), _others(scene, p, t)
+    f = _force_and_rate(scene, x, v, p, t)[0]
+    if scene.prescribed is None:
+        return jnp.zeros_like(f)
+    a = scene.prescribed.acceleration(jnp.zeros_like(f), t)
+    return jnp.where(scene.prescribed.held(t), scene.mass[:, None] * a - f, 0.0)
+
+
 def rates(
     scene: Scene, x: NodeVectors, v: NodeVectors, p: HingeValues | None, t: Scalar
 ) -> tuple[NodeVectors, NodeVectors, HingeValues | None]:

@@ -14,7 +14,7 @@ import jaxcrumple as jc
 from jaxcrumple.measure import mean_curvature
 from jaxcrumple.plot.figure import new_figure, save_figure
 from jaxcrumple.plot.plot import draw_flat
-from jaxcrumple.plot.sheet import CURVATURE_LABEL, PAPER, color_scale, draw_sheet
+from jaxcrumple.plot.sheet import CURVATURE_LABEL, color_scale
 
 
 def main() -> None:
@@ -34,7 +34,7 @@ def main() -> None:
     scale, maps = color_scale(*curvature, signed=True), []
     for column, (frame, values) in enumerate(zip(frames, curvature, strict=True)):
         space = figure.add_subplot(2, len(frames), column + 1)
-        draw_sheet(space, run.mesh, run.x[frame], PAPER, pixels=700)
+        jc.picture(run, frame, field="paper", walls=False, axes=space, pixels=700)
         flat = figure.add_subplot(2, len(frames), len(frames) + column + 1, aspect="equal")
         flat.set_axis_off()
         draw_flat(flat, run.mesh, scale, values)

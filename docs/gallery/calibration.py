@@ -19,7 +19,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import jaxcrumple as jc
-from jaxcrumple.plot.sheet import camera_of, draw_sheet
 
 jax.config.update("jax_enable_x64", True)
 jc.enable_compilation_cache()
@@ -85,7 +84,7 @@ figure = plt.figure(figsize=(7.5, 4.2), layout="constrained")
 grid = figure.add_gridspec(2, 2, height_ratios=[1, 1])
 sheet, axes, plane = (figure.add_subplot(one) for one in (grid[0, 0], grid[:, 1], grid[1, 0]))
 low = run.x[np.argmin(seen)]
-draw_sheet(sheet, mesh, low, "#e8a25c", camera=camera_of(low, view=(-1, -0.5, 0.6)), pixels=pixels)
+jc.draw_sheet(mesh, low, "#e8a25c", axes=sheet, view=(-1, -0.5, 0.6), pixels=pixels)
 axes.plot(1e3 * times, 1e3 * seen, ".", color="black", label="measured")
 axes.plot(1e3 * times, 1e3 * run.x[:, -across:, 2].mean(axis=1), color="tab:orange", label="fitted")
 axes.set(xlabel="time [ms]", ylabel="height of the tip [mm]")

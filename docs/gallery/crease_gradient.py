@@ -21,7 +21,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import jaxcrumple as jc
-from jaxcrumple.plot.sheet import draw_sheet
 
 jax.config.update("jax_enable_x64", True)
 jc.enable_compilation_cache()
@@ -73,7 +72,7 @@ assert by_yield < 0
 
 # %%
 figure, (left, right) = plt.subplots(1, 2, figsize=(7.5, 4.2), layout="constrained")
-draw_sheet(left, setup.mesh, solution.x[-1], "#e8a25c", pixels=pixels)
+jc.draw_sheet(setup.mesh, solution.x[-1], "#e8a25c", axes=left, pixels=pixels)
 left.set_title(f"smooth crease length {100 * length:.1f} cm")
 share = np.asarray(gradient[1] * values[1] / length / (setup.mesh.node_area / setup.mesh.area))
 flat, most = 100 * setup.mesh.vertices, np.quantile(np.abs(share), 0.9)

@@ -18,7 +18,6 @@ from scipy.stats import bootstrap
 
 import jaxcrumple as jc
 from jaxcrumple.measure import crease_length
-from jaxcrumple.plot.sheet import camera_of, draw_sheet
 
 jax.config.update("jax_enable_x64", True)
 jc.enable_compilation_cache()
@@ -57,7 +56,7 @@ grid = figure.add_gridspec(2, 2, width_ratios=[1, 1.9])
 for row, number in enumerate((np.argmin(lengths[:, -1]), np.argmax(lengths[:, -1]))):
     axes = figure.add_subplot(grid[row, 0])
     mesh, x = sheets[number]
-    draw_sheet(axes, mesh, x, "#e8a25c", camera=camera_of(x), pixels=pixels)
+    jc.draw_sheet(mesh, x, "#e8a25c", axes=axes, pixels=pixels)
     axes.set_title(f"seed {number}: {lengths[number, -1]:.2f} m", fontsize=10)
 axes = figure.add_subplot(grid[:, 1])
 place = 1e2 * (radius - speed * times)  # cm

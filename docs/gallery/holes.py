@@ -11,14 +11,12 @@
 # (2026-11-28, one core, warm).
 
 # %%
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 
 import jaxcrumple as jc
-from jaxcrumple.plot.sheet import camera_of, draw_sheet
 
 jax.config.update("jax_enable_x64", True)
 jc.enable_compilation_cache()
@@ -57,12 +55,11 @@ def pulled(mesh, thickness):
     grips = jc.Prescribed(jnp.asarray(np.repeat(ends[:, None], 3, axis=1)), motion)
     scene = jc.sheet(mesh, jc.Material(thickness=thickness, yield_curvature=None), prescribed=grips)
     state, force = jc.initial_state(scene, mesh.vertices), []
-    for t in jnp.asarray(strains):
-        moved = eqx.tree_at(lambda s: (s.t, s.x), state, (t, grips.position(state.x, t)))
-        rest = jc.relax(scene, moved)
+    for t in strains:
+        rest = jc.relax(scene, state, t=t)
         assert rest.converged, rest.reason
         state = rest.state
-        force.append(-jc.force(scene, state.x, state.v, state.p, t)[ends & (y > 0), 1].sum())
+        force.append(jc.reaction(scene, state.x, state.v, state.p, t)[ends & (y > 0), 1].sum())
     return np.array(force), np.asarray(state.x)
 
 
@@ -77,8 +74,8 @@ assert forces[0][strains == 0.04] < 0.01 * whole_force[0][strains == 0.04]
 
 # %%
 figure, (left, right) = plt.subplots(1, 2, figsize=(7.5, 4.2), layout="constrained")
-camera = camera_of(shapes[0], view=(0.35, -0.5, 1.0), up=(0.0, 1.0, 0.0))
-draw_sheet(left, mesh, shapes[0], "#e8a25c", camera=camera, pixels=pixels)
+view = {"view": (0.35, -0.5, 1.0), "up": (0.0, 1.0, 0.0)}
+jc.draw_sheet(mesh, shapes[0], "#e8a25c", axes=left, pixels=pixels, **view)
 left.set_title(f"{thicknesses[0] * 1e3:.1f} mm thick, strain {strains[-1]:.0%}")
 for thickness, force, color in zip(thicknesses, forces, ["tab:orange", "tab:blue"], strict=True):
     right.loglog(strains, force, "o-", color=color, label=f"slits, {1e3 * thickness:.1f} mm")

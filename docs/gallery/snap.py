@@ -11,14 +11,12 @@
 # 22 CPU s (2026-11-28, one core, warm).
 
 # %%
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 
 import jaxcrumple as jc
-from jaxcrumple.plot.sheet import camera_of, draw_sheet
 
 jax.config.update("jax_enable_x64", True)
 jc.enable_compilation_cache()
@@ -44,12 +42,11 @@ support = jc.Prescribed(held, jc.LinearMotion(setup.x, travel))
 pushed = jc.sheet(setup.mesh, setup.material, prescribed=support)
 state, curve = jc.initial_state(pushed, setup.x), []
 for t in jnp.linspace(0, 1, heights):
-    start = eqx.tree_at(lambda s: (s.t, s.x), state, (t, support.position(state.x, t)))
-    rest = jc.relax(pushed, start)
+    rest = jc.relax(pushed, state, t=t)
     assert rest.converged, rest.reason
     state = rest.state
-    reaction = jc.force(pushed, state.x, state.v, state.p, t)[middle, 2].sum()
-    curve.append((state.x[middle, 2].mean(), reaction))
+    push = -jc.reaction(pushed, state.x, state.v, state.p, t)[middle, 2].sum()
+    curve.append((state.x[middle, 2].mean(), push))
 height, force = np.array(curve).T
 top = force[height > 0].max()
 
@@ -70,10 +67,10 @@ assert abs(carried[snap] / top - 1) < 0.05
 # %%
 figure = plt.figure(figsize=(7.5, 4.2), layout="constrained")
 grid = figure.add_gridspec(2, 2, width_ratios=[1, 1.2])
-camera = camera_of(run.x.reshape(-1, 3), view=(-0.3, -1.0, 0.25))
 for row, frame in enumerate((0, -1)):
     axes = figure.add_subplot(grid[row, 0])
-    draw_sheet(axes, setup.mesh, run.x[frame], "#e8a25c", camera=camera, pixels=pixels)
+    look = {"within": run.x, "view": (-0.3, -1.0, 0.25), "pixels": pixels}
+    jc.draw_sheet(setup.mesh, run.x[frame], "#e8a25c", axes=axes, **look)
     axes.set_title(f"dead load {carried[frame]:.1f} N")
 axes = figure.add_subplot(grid[:, 1])
 axes.axhline(limit, color="gray", linestyle="--", label="theory, $237\\,Bf/L^3$")

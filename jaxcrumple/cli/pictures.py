@@ -75,7 +75,8 @@ def _one(
 ) -> Path:
     from jaxcrumple.io import load
     from jaxcrumple.plot.camera import VIEW
-    from jaxcrumple.plot.picture import FILMS, film, picture
+    from jaxcrumple.plot.film import FILMS, film
+    from jaxcrumple.plot.picture import picture
 
     direction = VIEW if view is None else _direction(view)
     run = load(folder)

@@ -10,9 +10,9 @@ import pandas as pd
 from jaxcrumple.io import Run
 from jaxcrumple.measure import crease_length, mean_curvature
 from jaxcrumple.plot.figure import new_figure, save_figure
+from jaxcrumple.plot.picture import picture
 from jaxcrumple.plot.plot import draw_flat
-from jaxcrumple.plot.sheet import CURVATURE_LABEL, Walls, color_scale, draw_sheet
-from jaxcrumple.plot.surroundings import wall_shapes
+from jaxcrumple.plot.sheet import CURVATURE_LABEL, color_scale
 
 # Longer side of a sheet in pixels.
 PANEL = 500
@@ -41,13 +41,10 @@ def plot_moments(shown: Sequence[Moment], caption: str, path: Path) -> Path:
     curvature = [mean_curvature(one.run.mesh, one.run.x[one.frame]) for one in shown]
     scale = color_scale(*curvature, signed=True)
     figure = new_figure((2.6 * len(shown) + 0.8, 5.4), caption)
-    runs = {id(one.run): one.run for one in shown}
-    shapes = {key: wall_shapes(run) for key, run in runs.items()}
     maps = []
     for column, (one, values) in enumerate(zip(shown, curvature, strict=True), 1):
         space = figure.add_subplot(2, len(shown), column, title=one.title, anchor="N")
-        walls = Walls(shapes[id(one.run)], float(one.run.t[one.frame]))
-        draw_sheet(space, one.run.mesh, one.run.x[one.frame], scale, values, walls=walls, pixels=PANEL)
+        picture(one.run, one.frame, axes=space, scale=scale, pixels=PANEL)
         flat = figure.add_subplot(2, len(shown), len(shown) + column, aspect="equal", xticks=[], yticks=[])
         draw_flat(flat, one.run.mesh, scale, values)
         maps.append(flat)

@@ -24,8 +24,9 @@ from jaxcrumple._jax.arrays import HingeValuesLike, NodeVectorsLike
 from jaxcrumple.io.run import Run, load
 from jaxcrumple.measure import DAMAGE, crease_pattern, mean_curvature, mountain_valley_length
 from jaxcrumple.mesh.mesh import Mesh
+from jaxcrumple.plot.draw import draw_sheet
 from jaxcrumple.plot.figure import new_figure, save_figure
-from jaxcrumple.plot.sheet import CURVATURE_LABEL, Walls, color_scale, plot_sheet
+from jaxcrumple.plot.sheet import CURVATURE_LABEL, Walls, color_scale
 from jaxcrumple.plot.surroundings import wall_shapes
 from jaxcrumple.run.config import MaterialOptions, SolverOptions
 from jaxcrumple.solvers.log import AFTER, STEP
@@ -62,7 +63,7 @@ def plot_creases(
     more than `threshold` appear as mountains (convex as seen from the side of the face normals) or valleys.
     Colours span the curvatures of all but the sharpest 2 % of the nodes.
 
-    **Raises:** as `plot_sheet`.
+    **Raises:** ValueError for a wrong shape, and as `save_figure`.
     """
     flat = 1e3 * mesh.vertices[:, :2]
     curvature = mean_curvature(mesh, x)
@@ -108,7 +109,7 @@ def plot_steps(
     **Arguments:** `history`, `events`: as returned by `jaxcrumple.io.load`; without events that lead `to` a
     stage, the switches come from the history. `thresholds`: values of $a_{max}/a_{ref}$ for dashed lines.
 
-    **Raises:** as `plot_sheet`, and ValueError if the history has no steps.
+    **Raises:** ValueError if the history has no steps, and as `save_figure`.
     """
     steps = history[history["kind"] == STEP] if len(history) else history
     if len(steps) == 0:
@@ -138,7 +139,7 @@ def plot_steps(
 def plot_energies(history: pd.DataFrame, *, caption: str = "", path: str | Path) -> Path:
     """Plot energies by term in J over time; negative energies (loads) appear dashed, with their magnitude.
 
-    **Raises:** as `plot_sheet`, and ValueError if the history is empty.
+    **Raises:** ValueError if the history is empty, and as `save_figure`.
     """
     if len(history) == 0:
         raise ValueError("the history has no rows to plot; run longer")
@@ -169,7 +170,7 @@ def plot_run(folder: str | Path) -> list[Path]:
     caption, last, now = about(run), run.x[-1], about(run, t=run.t[-1])
     walls = Walls(wall_shapes(run), float(run.t[-1]))
     pictures = [
-        plot_sheet(run.mesh, last, walls=walls, caption=now, path=folder / "sheet.png"),
+        draw_sheet(run.mesh, last, walls=walls, caption=now).save(folder / "sheet.png"),
         plot_creases(run.mesh, last, run.p[-1], caption=now, path=folder / "creases.png"),
     ]
     if len(run.history) and (run.history["kind"] == STEP).any():

@@ -43,7 +43,7 @@ def plot_section(
     The plane contains `point` (3,) in m, by default the centre of mass, and has the normal vector `normal`
     (3,) of any length. A thin line along the midsurface closes the wedges at folds.
 
-    **Raises:** as `cross_section` and `plot_sheet`, and ValueError if the plane misses the sheet.
+    **Raises:** as `cross_section` and `save_figure`, and ValueError if the plane misses the sheet.
     """
     point = center_of_mass(mesh, x) if point is None else point
     section = cross_section(mesh, x, point, normal)
@@ -63,7 +63,7 @@ def plot_volume_fraction(
 ) -> Path:
     """Plot scaled volume fractions $\\phi(r)/\\phi_0$ against $r/r_0$ (Fig. 8b), one line for each name.
 
-    **Raises:** as `plot_sheet`, and ValueError without a fraction.
+    **Raises:** as `save_figure`, and ValueError without a fraction.
     """
     if not fractions:
         raise ValueError("there is no volume fraction to plot; give one by name")
@@ -88,7 +88,7 @@ def plot_distributions(
 
     `label`: name and unit of the quantity.
 
-    **Raises:** as `plot_sheet`, and ValueError without a distribution.
+    **Raises:** as `save_figure`, and ValueError without a distribution.
     """
     if not distributions:
         raise ValueError("there is no distribution to plot; give one by name")

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Sequence
-from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import ArrayLike, Float, Real
+from jaxtyping import Float
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -17,13 +15,10 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import Colormap, ListedColormap, Normalize, SymLogNorm, to_rgb
 from matplotlib.figure import Figure
 
-from jaxcrumple._jax.arrays import NodeVectorsLike
-from jaxcrumple.measure import mean_curvature
-from jaxcrumple.measure.strain import positions
 from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.model.walls import AbstractShape
 from jaxcrumple.plot.camera import UP, VIEW, Camera, camera_for
-from jaxcrumple.plot.figure import new_figure, save_figure
+from jaxcrumple.plot.figure import new_figure
 from jaxcrumple.plot.light import LAMP, linear, srgb
 from jaxcrumple.plot.normals import face_normals
 
@@ -51,43 +46,6 @@ class Walls(NamedTuple):
 NO_WALLS = Walls()
 
 
-def plot_sheet(
-    mesh: Mesh,
-    x: NodeVectorsLike,
-    *,
-    color: Real[ArrayLike, " values"] | str | None = None,
-    label: str | None = None,
-    walls: Walls = NO_WALLS,
-    view: Sequence[float] = VIEW,
-    up: Sequence[float] = UP,
-    pixels: int = PIXELS,
-    caption: str = "",
-    path: str | Path,
-) -> Path:
-    """Plot the sheet in space in parallel projection, with a length bar.
-
-    Its back, opposite to the face normals, is darker and bluish. Where Embree has no wheel, triangles are
-    sorted by depth, without shadows and walls.
-
-    **Arguments:** `x` (n, 3): positions in m; `color`: one value per node (n,) or face (f,), or one colour of
-    matplotlib, by default the mean curvature in 1/m; `label`: name and unit of `color`; `walls`: to show as
-    translucent surfaces; `view` (3,): direction from the sheet to the camera, with `up` (3,) vertical;
-    `pixels`: of the longer side of the sheet; `caption`: text above the figure, e.g. size and tolerance of
-    the run.
-
-    **Raises:** ValueError for a wrong shape, a `view` along `up` or an unknown extension of `path`,
-    `RunDirectoryError` if `path` cannot be written.
-    """
-    x = positions(mesh, x)
-    camera = camera_of(x, walls, view, up)
-    draw = partial(sheet_figure, mesh, x, camera=camera, walls=walls, pixels=pixels, caption=caption)
-    if isinstance(color, str):
-        return save_figure(draw(color), path)
-    values = mean_curvature(mesh, x) if color is None else np.asarray(color, dtype=np.float64)
-    label = CURVATURE_LABEL if color is None else label or ""
-    return save_figure(draw(color_scale(values, signed=color is None), values, label=label), path)
-
-
 def sheet_figure(
     mesh: Mesh,
     x: Float[np.ndarray, "nodes 3"],
@@ -99,36 +57,44 @@ def sheet_figure(
     walls: Walls,
     pixels: int,
     caption: str,
+    axes: Axes | None = None,
 ) -> Figure:
-    """Return a figure of the sheet with the colour bar of a scale; arguments as of `plot_sheet` and
-    `draw_sheet`."""
+    """Draw the sheet into `axes`, or into a new figure with a colour bar, and return the figure.
+
+    `label`: of the colour bar; `caption`: text above the figure, such as size and tolerance of the run; other
+    arguments as of `draw_into`.
+    """
+    if axes is not None:
+        draw_into(axes, mesh, x, color, values, camera=camera, walls=walls, pixels=pixels)
+        return axes.figure.figure
     figure = new_figure((7.2, 6.0), caption)
     axes = figure.add_subplot()
-    draw_sheet(axes, mesh, x, color, values, camera=camera, walls=walls, pixels=pixels)
+    draw_into(axes, mesh, x, color, values, camera=camera, walls=walls, pixels=pixels)
     if not isinstance(color, str):
         beyond: Any = "both" if color.get_clim()[0] < 0 else "max"
         figure.colorbar(color, ax=axes, label=label, shrink=0.65, extend=beyond)
     return figure
 
 
-def draw_sheet(
+def draw_into(
     axes: Axes,
     mesh: Mesh,
     x: Float[np.ndarray, "nodes 3"],
     color: ScalarMappable | str,
     values: Float[np.ndarray, " ..."] | None = None,
     *,
-    camera: Camera | None = None,
+    camera: Camera,
     walls: Walls = NO_WALLS,
     pixels: int = PIXELS,
 ) -> None:
-    """Draw the sheet at positions `x` (n, 3) in m into axes in mm, which lose their frame.
+    """Draw the sheet at positions `x` (n, 3) in m into axes in mm, which lose their frame, with a length bar.
 
-    `color`: a colour, or a scale for `values` per node (n,) or face (f,).
+    `color`: a colour, or a scale for `values` per node (n,) or face (f,). The back, opposite to the face
+    normals, is darker and bluish. Where Embree has no wheel, triangles are sorted by depth, without shadows
+    and walls.
     """
     if values is not None and values.shape not in ((mesh.n_nodes,), (len(mesh.faces),)):
         raise ValueError(f"color has shape {values.shape}; give one value per node or per face of the mesh")
-    camera = camera_of(x, walls) if camera is None else camera
     width, height = 1e3 * camera.width, 1e3 * camera.height
     if importlib.util.find_spec("embreex") is None:
         _draw_sorted(axes, mesh, x, color, values, camera)

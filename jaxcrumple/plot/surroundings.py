@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import json
 from collections.abc import Sequence
 
 import jax
@@ -19,10 +21,14 @@ def wall_shapes(run: Run) -> Sequence[AbstractShape]:
     """Return the walls of a run; none for a scene that its options do not tell."""
     if run.scene is not None:
         return [wall.shape for wall in run.scene.walls]
-    if run.config.get("scene") not in SCENES:
-        return ()
+    return _shapes(json.dumps(run.config)) if run.config.get("scene") in SCENES else ()
+
+
+@functools.lru_cache(maxsize=4)
+def _shapes(text: str) -> Sequence[AbstractShape]:
+    """Return the walls of a configuration as JSON, which all frames of its run share."""
     try:
-        config = RunConfig(**run.config)
+        config = RunConfig(**json.loads(text))
         options = {**config.options, **{name: QUICK[name] for name in QUICK if name in config.options}}
         # Scenes need double precision, which a notebook that draws pictures may not have set.
         with jax.enable_x64(True):

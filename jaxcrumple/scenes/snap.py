@@ -90,13 +90,10 @@ def relaxed_drop(
 
 
 def _rest(scene: Scene, state: State, t: ScalarLike, force_tolerance: float | None) -> Relaxed:
-    t = jnp.asarray(t, float)
-    x = state.x if scene.prescribed is None else scene.prescribed.position(state.x, t)
-    moved = eqx.tree_at(lambda s: (s.t, s.x), state, (t, x))
-    rest = relax(scene, moved, force_tolerance=force_tolerance)
+    rest = relax(scene, state, t=t, force_tolerance=force_tolerance)
     if not rest.converged:
         raise ValueError(
-            f"no equilibrium found at t = {float(t):.4g} s: the largest force is "
+            f"no equilibrium found at t = {float(rest.state.t):.4g} s: the largest force is "
             f"{float(rest.max_force):.2g} N after {int(rest.iterations)} iterations ({rest.reason}); choose "
             "a time away from the limit point."
         )

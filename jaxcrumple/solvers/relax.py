@@ -7,12 +7,20 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxcrumple._jax.arrays import Count, Flag, NodeValues, NodeVectors, Scalar
+from jaxcrumple._jax.arrays import Count, Flag, NodeValues, NodeVectors, Scalar, ScalarLike
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.memory import require_run
 from jaxcrumple._jax.program_cache import make_room
-from jaxcrumple._jax.tree import as_float, is_known, is_number, require_limit
+from jaxcrumple._jax.tree import (
+    as_float,
+    is_known,
+    is_number,
+    require_finite,
+    require_limit,
+    require_shape,
+)
 from jaxcrumple.contact.lists import motion
+from jaxcrumple.model.loads import check_motion
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.contact.crossings import passes, unlisted_turn
 from jaxcrumple.solvers.contact.reallocate import Reallocation
@@ -20,7 +28,7 @@ from jaxcrumple.solvers.contact.schedule import without_matrix
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
 from jaxcrumple.solvers.linear.registry import choose_linear_solver
 from jaxcrumple.solvers.start import check_gap, check_start
-from jaxcrumple.state import State, check_state, restarted
+from jaxcrumple.state import State, check_fits, check_state, restarted
 from jaxcrumple.system import elastic_tangent, energies, force_terms
 
 # The shift is a pseudo inertia: m * shift is added to the stiffness. It starts at SHIFT_START times the
@@ -139,11 +147,12 @@ def relax(
     scene: Scene,
     state: State,
     *,
+    t: ScalarLike | None = None,
     force_tolerance: float | None = None,
     linear: str | AbstractLinearSolver = "auto",
     max_iterations: int = 500,
 ) -> Relaxed:
-    """Minimise the potential energy at the state's time, with its rest curvature p held fixed.
+    """Minimise the potential energy at one time, with the rest curvature p of the state held fixed.
 
     Newton's method with a pseudo inertia that vanishes as the forces balance (pseudo-transient continuation;
     Kelley & Keyes, SIAM J. Numer. Anal. 35 (1998) 508).
@@ -151,9 +160,12 @@ def relax(
     No step passes through a wall or through the sheet itself. The host rebuilds the contact lists as the
     sheet moves. Inside a function that JAX traces, `relax` has only the lists of the scene.
 
-    **Arguments:** `force_tolerance`: largest net force in N on any free node at the end; by default 1e-9 of
-    the largest sum of the magnitudes of all forces on a node, loads and reactions included, but at least the
-    rounding error; `linear`: a linear solver or its name; `max_iterations`: largest number of factorisations.
+    **Arguments:** `t`: time in s of walls, loads and supports, by default that of the state. Supports move
+    their nodes to where they hold them then: for a curve of equilibria, call `relax` for one time after the
+    other, each time with the last state. `force_tolerance`: largest net force in N on any free node at the
+    end; by default 1e-9 of the largest sum of the magnitudes of all forces on a node, loads and reactions
+    included, but at least the rounding error; `linear`: a linear solver or its name; `max_iterations`:
+    largest number of factorisations.
 
     **Returns:** a `Relaxed`, whose `result` states why the iteration stopped.
 
@@ -173,13 +185,12 @@ def relax(
     if force_tolerance is not None and not (is_number(force_tolerance) and force_tolerance > 0):
         raise ValueError(f"force_tolerance = {force_tolerance!r} N must be positive.")
     require_limit("max_iterations", max_iterations)
-    check_state(scene, state)
+    state = _at(scene, state, t)
     solver = choose_linear_solver(linear)
-    x = state.x if scene.prescribed is None else scene.prescribed.position(state.x, state.t)
-    state = restarted(scene, state, x, jnp.zeros_like(x))
+    state = restarted(scene, state, state.x, jnp.zeros_like(state.x))
     tolerance = None if force_tolerance is None else as_float(force_tolerance)
     left = jnp.asarray(max_iterations)
-    known = is_known(x, scene.mass)
+    known = is_known(state.x, scene.mass)
     if known:
         require_run(scene.n_nodes, 0, scene.contact is not None)
         check_start(scene, state)
@@ -187,6 +198,24 @@ def relax(
     if known and scene.contact is not None:
         return _relax_apart(scene, state, tolerance, solver, left)
     return _relax(scene, state, tolerance, solver, left, _first_shift(scene))[0]
+
+
+def _at(scene: Scene, state: State, t: ScalarLike | None) -> State:
+    """Return the state at time `t` in s, by default its own, with supported nodes where they are held.
+
+    **Raises:** ValueError for a state of another scene, or, without `t`, one off its supports.
+    """
+    if t is None:
+        check_state(scene, state)
+    else:
+        check_fits(scene, state)
+        require_shape("t", t, ())
+        require_finite("t", t)
+        state = eqx.tree_at(lambda s: s.t, state, as_float(t))
+    if scene.prescribed is None:
+        return state
+    check_motion(scene.prescribed, state.t)
+    return eqx.tree_at(lambda s: s.x, state, scene.prescribed.position(state.x, state.t))
 
 
 def _relax_apart(

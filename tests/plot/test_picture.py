@@ -1,10 +1,15 @@
 """Pictures and films of a run show what was asked for, with one camera and one scale."""
 
+import importlib.util
 from dataclasses import replace
+from io import BytesIO
 
 import numpy as np
 import pytest
 from folding import folding_run
+from matplotlib import rc_context
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.text import Text
 from PIL import Image
 
@@ -13,7 +18,9 @@ from jaxcrumple.measure import edge_strain
 from jaxcrumple.mesh.generate import rectangle
 from jaxcrumple.plot import picture as picture_module
 from jaxcrumple.plot.fields import FIELDS
-from jaxcrumple.plot.picture import film, picture
+from jaxcrumple.plot.figure import new_figure
+from jaxcrumple.plot.film import film
+from jaxcrumple.plot.picture import picture
 from jaxcrumple.plot.surroundings import wall_shapes
 from jaxcrumple.run.config import RunConfig
 from jaxcrumple.simulation import Solution
@@ -31,6 +38,8 @@ def test_fields(run, field, tmp_path):
     kind = FIELDS[field]
     assert [axes.get_ylabel() for axes in drawn.figure.axes[1:]] == ([] if kind is None else [kind.label])
     assert drawn._repr_png_()[1:4] == b"PNG"
+    with rc_context({"figure.dpi": 20}), Image.open(BytesIO(drawn._repr_png_())) as image:
+        assert image.size == (144, 120)
     assert drawn.save(tmp_path / "a.pdf").read_bytes()[:4] == b"%PDF"
 
 
@@ -45,6 +54,20 @@ def test_a_picture_for_print_has_the_width_of_a_column(run, tmp_path):
     assert picture(run, walls=False, width=0.086, pixels=120).figure.get_size_inches()[0] == pytest.approx(
         3.386, abs=1e-3
     )
+
+
+def test_pictures_into_axes(run):
+    """They have neither caption nor colour bar; what they share is the caller's."""
+    figure = new_figure((4.0, 2.0), "")
+    left, right = figure.subplots(1, 2)
+    scale = ScalarMappable(Normalize(-1.0, 1.0), "RdBu_r")
+    for axes, field in ((left, "curvature"), (right, "paper")):
+        drawn = picture(run, field=field, walls=False, axes=axes, scale=scale, pixels=120)
+        assert drawn.figure is figure
+    assert figure.axes == [left, right] and figure.get_suptitle() == ""
+    assert len(left.texts) == len(right.texts) == 1
+    with pytest.raises(ValueError, match="width is that of a new figure"):
+        picture(run, axes=left, width="86 mm")
 
 
 def test_values(run):
@@ -107,7 +130,7 @@ def test_mp4(run, tmp_path):
 
 
 def test_an_mp4_without_its_extra_is_refused_before_drawing(run, tmp_path, monkeypatch):
-    monkeypatch.setattr(picture_module.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     monkeypatch.setattr(picture_module, "sheet_figure", None)
     with pytest.raises(ImportError, match="pip install av"):
         film(run, tmp_path / "a.mp4")

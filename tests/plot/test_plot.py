@@ -11,6 +11,7 @@ from jaxcrumple import Material
 from jaxcrumple.io import RunDirectory
 from jaxcrumple.measure import hinge_curvature
 from jaxcrumple.plot import plot
+from jaxcrumple.plot.draw import draw_sheet
 from jaxcrumple.solvers.log import AFTER, BEFORE, COLUMNS, STEP
 
 
@@ -138,6 +139,6 @@ def test_matplotlib_is_left_as_it_was(tmp_path, mesh, folded):
     import matplotlib.pyplot as plt
 
     before = dict(mpl.rcParams)
-    plot.plot_sheet(mesh, folded[0], path=tmp_path / "a.svg")
+    draw_sheet(mesh, folded[0]).save(tmp_path / "a.svg")
     assert dict(mpl.rcParams) == before
     assert plt.get_fignums() == []

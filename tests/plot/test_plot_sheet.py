@@ -4,6 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from pictures import colors
 
 from jaxcrumple.io import RunDirectoryError
@@ -11,9 +13,11 @@ from jaxcrumple.mesh.generate import rectangle
 from jaxcrumple.model.walls import Ball, Cone, HoledPlate, Plane, Ramp, Sphere
 from jaxcrumple.plot import sheet as sheet_module
 from jaxcrumple.plot.camera import Camera, camera_for
+from jaxcrumple.plot.draw import draw_sheet
+from jaxcrumple.plot.figure import new_figure, save_figure
 from jaxcrumple.plot.light import linear, srgb
 from jaxcrumple.plot.normals import CREASE, corner_normals, face_normals
-from jaxcrumple.plot.sheet import Walls, camera_of, color_scale, plot_sheet
+from jaxcrumple.plot.sheet import Walls, camera_of, color_scale
 from jaxcrumple.plot.wall_layers import surface_points, wall_layers
 
 raycast = pytest.importorskip("jaxcrumple.plot.raycast", reason="Embree has no wheel here")
@@ -208,13 +212,13 @@ def test_colours_are_those_of_the_scale(mesh):
     np.testing.assert_allclose(srgb(image)[0, 0], [*expected, 0.5], atol=1e-12)
 
 
-def test_plot(tmp_path, mesh, bent, kept_figures):
-    figures = kept_figures(sheet_module)
+def test_plot(tmp_path, mesh, bent):
     path = tmp_path / "sheet.png"
-    assert plot_sheet(mesh, bent, caption="n = 300, rtol = 1e-4", pixels=300, path=path) == path
+    drawn = draw_sheet(mesh, bent, caption="n = 300, rtol = 1e-4", pixels=300)
+    assert drawn.save(path) == path
     assert colors(path) > 100
-    axes, bar = figures[0].axes
-    assert figures[0].get_suptitle() == "n = 300, rtol = 1e-4"
+    axes, bar = drawn.figure.axes
+    assert drawn.figure.get_suptitle() == "n = 300, rtol = 1e-4"
     assert bar.get_ylabel() == sheet_module.CURVATURE_LABEL
     camera = camera_of(bent)
     assert np.ptp(axes.get_xlim()) == pytest.approx(1e3 * camera.width)
@@ -224,35 +228,56 @@ def test_plot(tmp_path, mesh, bent, kept_figures):
 
 
 @pytest.mark.parametrize("sorted_", [False, True])
-def test_other_colours(tmp_path, mesh, bent, kept_figures, monkeypatch, sorted_):
+def test_other_colours(tmp_path, mesh, bent, monkeypatch, sorted_):
     """A value of a node or triangle is seen, also where Embree has no wheel; zeros and a colour are plain."""
     if sorted_:
         monkeypatch.setattr(sheet_module.importlib.util, "find_spec", lambda name: None)
-    figures = kept_figures(sheet_module)
     hues = []
     for color in (mesh.vertices[:, 0], mesh.face_area, np.zeros(mesh.n_nodes), "tab:red"):
-        plot_sheet(mesh, bent, color=color, label="m2", pixels=300, path=tmp_path / "a.png")
+        figure = draw_sheet(mesh, bent, color, label="m2", pixels=300).figure
+        save_figure(figure, tmp_path / "a.png")
         assert colors(tmp_path / "a.png") > 50
-        axes = figures[-1].axes[0]
+        axes = figure.axes[0]
         if sorted_:
             shown = axes.collections[0].get_facecolor()[:, :3]
         else:
             picture = np.asarray(axes.images[0].get_array())
             shown = picture[picture[..., 3] == 1.0][:, :3]
         hues.append(len(np.unique(np.round(shown / shown.sum(axis=1, keepdims=True), 2), axis=0)))
-        assert [bar.get_ylabel() for bar in figures[-1].axes[1:]] == ["m2"] * (not isinstance(color, str))
+        assert [bar.get_ylabel() for bar in figure.axes[1:]] == ["m2"] * (not isinstance(color, str))
     assert min(hues[:2]) > 5 * max(hues[2:])
+
+
+def test_two_sheets_share_a_figure_its_scale_and_the_space_they_show(mesh, bent):
+    """The same node has the same colour and the same scale of length in both axes."""
+    figure = new_figure((4.0, 2.0), "")
+    left, right = figure.subplots(1, 2)
+    scale = ScalarMappable(Normalize(0.0, 1.0), "viridis")
+    drawn = [
+        draw_sheet(
+            mesh, bent, np.full(mesh.n_nodes, value), axes=axes, scale=scale, within=2 * bent, pixels=200
+        )
+        for axes, value in ((left, 0.0), (right, 1.0))
+    ]
+    assert [one.figure for one in drawn] == [figure, figure] and figure.axes == [left, right]
+    hues = []
+    for axes in (left, right):
+        assert np.ptp(axes.get_xlim()) > 1.9e3 * camera_of(bent).width
+        image = np.asarray(axes.images[0].get_array())
+        shown = image[image[..., 3] == 1.0][:, :3].mean(axis=0)
+        hues.append(np.argmax(shown))
+    assert hues == [2, 0]  # the ends of viridis are violet and yellow
 
 
 def test_wrong_input_is_refused(tmp_path, mesh, bent):
     with pytest.raises(ValueError, match="one value per node or per face"):
-        plot_sheet(mesh, bent, color=np.zeros(3), path=tmp_path / "a.png")
+        draw_sheet(mesh, bent, np.zeros(3))
     with pytest.raises(ValueError, match="must not be zero or parallel"):
-        plot_sheet(mesh, bent, view=(0, 0, 1), path=tmp_path / "a.png")
+        draw_sheet(mesh, bent, view=(0, 0, 1))
     with pytest.raises(ValueError, match="'bmpp' is not supported"):
-        plot_sheet(mesh, bent, pixels=50, path=tmp_path / "a.bmpp")
+        draw_sheet(mesh, bent, pixels=50).save(tmp_path / "a.bmpp")
     with pytest.raises(RunDirectoryError, match="cannot write"):
-        plot_sheet(mesh, bent, pixels=50, path=tmp_path / "nowhere" / "a.png")
+        draw_sheet(mesh, bent, pixels=50).save(tmp_path / "nowhere" / "a.png")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -3,6 +3,7 @@
 import functools
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from linear_solvers import SOLVERS
 from scipy.integrate import solve_bvp
 
 import jaxcrumple as jc
+from jaxcrumple.model.loads import AbstractMotion
 from jaxcrumple.scene import sheet
 from jaxcrumple.scenes.snap import fixed
 from jaxcrumple.solvers import relax as solver
@@ -36,6 +38,15 @@ def cantilever(g=G, soft=1.0, **more):
     return jc.sheet(mesh(), material, gravity=(0.0, 0.0, -g), prescribed=fixed(clamp, x), **more)
 
 
+class Falling(AbstractMotion):
+    """Free fall from rest."""
+
+    start: jax.Array
+
+    def __call__(self, t):
+        return self.start + jnp.array([0.0, 0.0, -0.5 * G]) * t**2
+
+
 def rested(scene, **options):
     return relax(scene, jc.initial_state(scene, mesh().vertices), **options)
 
@@ -44,6 +55,47 @@ def tip(rest):
     """Position (2,) of the free end's middle, along the strip and up."""
     x = mesh().vertices
     return np.asarray(rest.state.x)[x[:, 0] > x[:, 0].max() - 1e-9][:, [0, 2]].mean(axis=0)
+
+
+def test_supports_carry_the_weight():
+    scene = cantilever()
+    state = rested(scene).state
+    held = jc.reaction(scene, state.x, state.v, state.p, state.t)
+    weight = float(scene.mass.sum()) * G
+    np.testing.assert_allclose(held.sum(axis=0), [0, 0, weight], atol=1e-6 * weight)
+    assert not np.any(held[~np.asarray(scene.prescribed.mask)])
+    assert not np.any(jc.reaction(jc.sheet(mesh(), jc.Material()), state.x, state.v, None, 0.0))
+
+
+def test_supports_accelerate_what_they_hold():
+    """The reaction includes the inertia of a prescribed motion."""
+    x = mesh().vertices
+    motion = Falling(jnp.asarray(x))
+    scene = jc.sheet(mesh(), jc.Material(), prescribed=jc.Prescribed(np.ones_like(x, bool), motion))
+    held = jc.reaction(scene, motion(0.1), np.zeros_like(x), None, 0.1)
+    np.testing.assert_allclose(
+        held, np.outer(scene.mass, [0.0, 0.0, -G]), atol=1e-9 * float(scene.mass[0]) * G
+    )
+
+
+def test_supports_move_to_the_time_that_is_asked_for():
+    """A clamp that rises by 1 cm/s lifts the sheet as it is, and the state is one of that time."""
+    x = mesh().vertices
+    rising = jc.LinearMotion(x, (0.0, 0.0, 0.01))
+    still = cantilever()
+    lifted = eqx.tree_at(lambda s: s.prescribed.motion, still, rising)
+    state = rested(still).state
+    rest = relax(lifted, state, t=0.5)
+    assert rest.converged and rest.state.t == 0.5
+    np.testing.assert_allclose(rest.state.x, state.x + np.array([0.0, 0.0, 0.005]), atol=1e-8)
+    inside = eqx.filter_jit(lambda t: relax(lifted, state, t=t))(0.5)
+    np.testing.assert_allclose(inside.state.x, rest.state.x, atol=1e-8)
+    with pytest.raises(ValueError, match="from where its support holds it"):
+        relax(lifted, eqx.tree_at(lambda s: s.t, state, jnp.asarray(0.5)))
+    with pytest.raises(ValueError, match="t is nan"):
+        relax(lifted, state, t=np.nan)
+    with pytest.raises(ValueError, match="t has shape"):
+        relax(lifted, state, t=[0.5, 1.0])
 
 
 def elastica(load):
