@@ -26,7 +26,7 @@ from jaxcrumple.solvers.contact.reallocate import Reallocation
 from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.log import Log
 from jaxcrumple.solvers.scheme import Integrator, checked_solver, integrator
-from jaxcrumple.solvers.start import check_gap, check_start, pierced
+from jaxcrumple.solvers.start import check_gap, check_start, in_the_way, pierced
 from jaxcrumple.solvers.tables import events_table, history_table, joined
 from jaxcrumple.state import CAUSES, EXPLICIT, IMPLICIT, QUASISTATIC, RESULTS, State, check_state
 
@@ -200,7 +200,7 @@ def simulate(
                 state = eqx.tree_at(lambda s: s.result, state, RESULTS.intersected)
                 break
         run_s = time.perf_counter() - start
-    solution = _solution(state, kept, compile_s, run_s)
+    solution = _solution(scene, state, kept, compile_s, run_s)
     if recorder is not None:
         solution.record = recorder.finished(scene, solver)
     if throw and solution.result != "success":
@@ -345,13 +345,15 @@ def _name(state: State) -> str:
     raise AssertionError("unknown result")
 
 
-def _solution(state: State, kept: _Kept, compile_s: float, run_s: float) -> Solution:
+def _solution(scene: Scene, state: State, kept: _Kept, compile_s: float, run_s: float) -> Solution:
     name = _name(state)
     shape = state.x.shape
+    message: str = RESULTS[getattr(RESULTS, name)]  # type: ignore[misc]
+    place = in_the_way(scene, state) if name == "blocked" else ""
     return Solution(
         state=state,
         result=name,
-        message=RESULTS[getattr(RESULTS, name)],  # type: ignore[misc]
+        message=f"{message}. Here {place}" if place else message,
         t=np.array(kept.t),
         x=np.array(kept.x).reshape(-1, *shape),
         v=np.array(kept.v).reshape(-1, *shape),

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from jaxcrumple._jax.arrays import NodeVectorsLike
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_float, require_shape
+from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.model.loads import LinearMotion, Prescribed
 from jaxcrumple.model.walls import Cone, PiecewiseLinear
 from jaxcrumple.scenes.quantities import Length, Slope, Speed
@@ -47,18 +48,26 @@ def dcone(
     """
     check_positive(radius=radius, slope=slope, speed=speed)
     sheet = SheetOptions(**options)
-    mesh = sheet.disc(radius, nodes, seed)
+    mesh = _around_a_node(sheet.disc(radius, nodes, seed))
     tilt = math.atan(slope)
+    reach, depth = np.linalg.norm(mesh.vertices[:, :2], axis=1).max(), -mesh.vertices[:, 2].min()
     # In the end the middle is just outside the range of the cone, one thickness from its side.
-    lowest = -(sheet.clearance + sheet.imperfection + radius * math.sin(tilt)) / math.cos(tilt)
+    lowest = -(sheet.clearance + depth + reach * math.sin(tilt)) / math.cos(tilt)
     highest = -sheet.thickness / math.cos(tilt)
     tip = PiecewiseLinear(jnp.array([0.0, (highest - lowest) / speed]), jnp.array([lowest, highest]))
     cone = Cone(jnp.zeros(3), jnp.array([0.0, 0.0, 1.0]), as_float(0.5 * math.pi - tilt), tip)
-    middle = int(np.argmin(np.linalg.norm(mesh.vertices[:, :2], axis=1)))
-    held = np.zeros((mesh.n_nodes, 3), bool)
-    held[middle] = True
+    held = np.repeat(~np.any(mesh.vertices, axis=1)[:, None], 3, axis=1)
     motion = LinearMotion(jnp.asarray(mesh.vertices), jnp.zeros(3))
     return sheet.setup(mesh, [cone], prescribed=Prescribed(jnp.asarray(held), motion))
+
+
+def _around_a_node(mesh: Mesh) -> Mesh:
+    """Return the mesh with its middle node at the origin.
+
+    Beside the axis of the cone, the node would be nearer to the side of the cone than at its tip.
+    """
+    middle = np.argmin(np.linalg.norm(mesh.vertices[:, :2], axis=1))
+    return mesh.with_rest_shape(mesh.vertices - mesh.vertices[middle])
 
 
 def dcone_time(radius: float, slope: float, speed: float) -> float:

@@ -22,6 +22,8 @@ from jaxcrumple.state import State
 ROUNDING, PLACES = 1e-12, 16
 # Smallest height of a triangle in units of its longest edge; the same as for a mesh.
 LEAST_HEIGHT = 1e-6
+# A wall counts as touching a node at a distance below TOUCHING of its range.
+TOUCHING = 1e-4
 # Smallest distance of a hinge angle from 180 degrees, in rad. The stiffness of the fold stop grows as the
 # inverse third power of this distance; below it, it exceeds the hinge's by more than float64 resolves.
 LEAST_OPENING = float(np.pi - FOLD_STOP) * np.finfo(float).eps ** (1.0 / 3.0)
@@ -77,6 +79,19 @@ def _check_walls(scene: Scene, state: State) -> None:
                 f"node {node} starts on {name}, where the wall's force is infinite; move the sheet or the "
                 f"wall. A start without force needs a gap of the wall's range, {float(wall.range):.3g} m."
             )
+
+
+def in_the_way(scene: Scene, state: State) -> str:
+    """Name the node that a wall all but touches; return "" if none does."""
+    for index, wall in enumerate(scene.walls):
+        gap = np.asarray(wall_gap(wall, state.x, state.t))
+        node = int(np.argmin(gap))
+        if gap[node] < TOUCHING * float(wall.range):
+            held = scene.prescribed is not None and bool(np.any(scene.prescribed.held(state.t)[node]))
+            name = f"wall {index} ({type(wall.shape).__name__})"
+            place = f"node {node}, where a support holds it" if held else f"node {node}"
+            return f"{name} comes within {gap[node]:.2g} m of {place}"
+    return ""
 
 
 def _check_edges(scene: Scene, x: Float[np.ndarray, "nodes 3"]) -> None:

@@ -196,6 +196,17 @@ def test_corners_of_a_ridge_keep_the_lengths_of_their_halves():
     assert np.pi - np.arccos(cosine) == pytest.approx(2.0, abs=1e-3)
 
 
+@pytest.mark.parametrize(("nodes", "slope"), [(200, 0.1), (1500, 0.12), (1500, 0.3)])
+def test_the_tip_of_a_cone_rises_to_a_thickness_below_the_node_that_is_held(nodes, slope):
+    """Beside the axis it would come nearer; on a coarse mesh it passed through the node."""
+    setup = jc.dcone(nodes, slope=slope, contact=None, sweeps=5)
+    held = np.asarray(setup.scene.prescribed.mask).all(axis=1)
+    assert held.sum() == 1 and np.linalg.norm(setup.x[held, :2]) == 0
+    gap = setup.scene.walls[0].gap(setup.x, 100.0)[held]
+    np.testing.assert_allclose(gap, setup.material.thickness, rtol=1e-9)
+    assert float(setup.scene.walls[0].gap(setup.x, 0.0).min()) >= 1.0999 * setup.material.thickness
+
+
 @pytest.mark.parametrize("degrees", [110.0, 139.0])
 def test_the_free_sector_of_a_surface_that_lifts_off_as_a_cube(degrees):
     setup = jc.dcone(1500, slope=0.1, imperfection=0.0, contact=None)

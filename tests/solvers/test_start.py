@@ -83,6 +83,18 @@ def test_an_edge_without_length_and_a_triangle_without_area_are_refused(uncompil
         simulate(scene, jc.initial_state(scene, flat), 0.1)
 
 
+def test_a_blocked_run_names_what_is_in_its_way():
+    """A plane rises to a node that a support holds; the edge beside it is free."""
+    held = np.zeros((4, 3), bool)
+    held[2] = True
+    supports = jc.Prescribed(held, jc.LinearMotion(PAIR, (0.0, 0.0, 0.0)))
+    plane = jc.Plane((0.0, 0.0, 1.0), jc.Ramp(-0.02, 0.1, 1.0))
+    scene = pair(walls=[plane], prescribed=supports)
+    solution = simulate(scene, jc.initial_state(scene, PAIR), 0.3)
+    assert solution.result == "blocked" and 0.19 < float(solution.state.t) < 0.2
+    assert re.search(r"Here wall 0 \(Plane\) comes within .* m of node 2, where a support", solution.message)
+
+
 def test_a_node_on_a_wall_and_a_wall_of_nan_are_refused(uncompiled):
     scene = pair(walls=[jc.Plane(np.array([0.0, 0.0, 1.0]), 0.0)])
     with pytest.raises(ValueError, match=r"node 0 starts on wall 0 \(Plane\), where the wall's force is inf"):
