@@ -34,6 +34,22 @@ class CoarseSpace(eqx.Module):
     window: Int[Array, "cells 36"]
     size: int = eqx.field(static=True)
 
+    def padded(self, cells: int, members: int, size: int) -> "CoarseSpace":
+        """Return the space with more `cells`, `members` of a cell, and `size` functions, which stay empty."""
+        occupied, most = self.members.shape
+        more, place = ((0, cells - occupied), (0, 0)), np.asarray(self.place)
+        functions, window = (np.where(a == self.size, size, a) for a in (self.functions, self.window))
+        wide = (more[0], (0, members - most))
+        return CoarseSpace(
+            self.cell,
+            self.weights,
+            _device(np.pad(self.members, wide, constant_values=len(place))),
+            _device(place // most * members + place % most),
+            _device(np.pad(functions, more, constant_values=size)),
+            _device(np.pad(window, more, constant_values=size)),
+            size,
+        )
+
 
 def build_coarse_space(rest: Float[np.ndarray, "nodes 3"], pairs: Int[np.ndarray, "pairs 2"]) -> CoarseSpace:
     """Build the coarse space of nodes at `rest` (n, 3) m whose tangent couples the node `pairs` (m, 2).
@@ -55,18 +71,19 @@ def build_coarse_space(rest: Float[np.ndarray, "nodes 3"], pairs: Int[np.ndarray
     corner = np.stack([occupied // grid[1], occupied % grid[1]], axis=1)
     members, place = _members(owner.reshape(-1), len(occupied), len(points))
 
-    def device(a: Int[np.ndarray, " *axes"]) -> Int[Array, " *axes"]:
-        return as_array(a.astype(np.int32))
-
     return CoarseSpace(
-        device(cell),
+        _device(cell),
         as_array(weights),
-        device(members),
-        device(place),
-        device(_numbers(corner, 0, SUPPORT, functions_per_side)),
-        device(_numbers(corner, -1, WINDOW, functions_per_side)),
+        _device(members),
+        _device(place),
+        _device(_numbers(corner, 0, SUPPORT, functions_per_side)),
+        _device(_numbers(corner, -1, WINDOW, functions_per_side)),
         int(np.prod(functions_per_side)),
     )
+
+
+def _device(a: Int[np.ndarray, " *axes"]) -> Int[Array, " *axes"]:
+    return as_array(a.astype(np.int32))
 
 
 def _longest_directions(rest: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, "nodes 2"]:

@@ -1,6 +1,7 @@
 """Sparsity pattern of the tangent and the maps of its assembly, built once on the host."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -32,7 +33,7 @@ class Pattern(eqx.Module):
     - `node_blocks` (n,): index of the diagonal block of each node.
     - `element_blocks`: for each stencil a map (pairs, m) to the blocks of the node pairs of an element;
       `element_flips` (pairs, m): whether the first node of a pair has the larger number.
-    - `neighbors` (n, k): block columns of each node's row, both triangles, padded with the node itself.
+    - `neighbors` (n, k): block columns of each node's row, both triangles, padded with numbers of any node.
     - `row_entries` (n, 3, 3k): index of each entry of these blocks, `nnz` for padding.
     - `coarse`: smooth coarse space over the nodes, for two-level solvers.
     - `face_blocks` (f, 6): blocks within each triangle, ordered as `upper_pairs(3)`; None without contact.
@@ -63,6 +64,26 @@ class Pattern(eqx.Module):
     def size(self) -> int:
         """Return the length of the vector of values: those of the sheet, then those of contact."""
         return self.nnz + (0 if self.contact is None else self.contact.size + len(self.node_blocks))
+
+    def padded(self, entries: int, neighbors: int, coarse: CoarseSpace) -> "Pattern":
+        """Return the pattern for more `entries` and `neighbors`, with a `coarse` space of another size.
+
+        The entries are those of blocks without elements, in the corner below the diagonal, where they are 0.
+        The starts of the rows, which only direct solvers read, stay as they are.
+        """
+        n, own, width = len(self.node_blocks), self.nnz, self.neighbors.shape[1]
+        spare, more = np.arange(entries - own), neighbors - width
+        row_entries = np.where(self.row_entries == own, entries, self.row_entries).reshape(n, 3, width, 3)
+        wide = np.pad(row_entries, ((0, 0), (0, 0), (0, more), (0, 0)), constant_values=entries)
+        return replace(
+            self,
+            indices=_device(np.append(self.indices, 0 * spare)),
+            rows=_device(np.append(self.rows, 0 * spare + 3 * n - 1)),
+            entry_places=_device(np.append(self.entry_places, own + 3 * n + spare)),
+            neighbors=_device(np.pad(self.neighbors, ((0, 0), (0, more)), mode="edge")),
+            row_entries=_device(wide.reshape(n, 3, -1)),
+            coarse=coarse,
+        )
 
     def assemble(
         self,
@@ -161,16 +182,18 @@ def build_pattern(
 
     neighbors, row_entries = _rows(n, block_row, block_col, entries)
 
-    def device(a: Int[np.ndarray, " *axes"]) -> Int[Array, " *axes"]:
-        return as_array(a.astype(np.int32))
-
     return Pattern(
-        device(indptr), device(indices), device(order), device(diagonal), device(places), device(node_blocks),
-        tuple(device(locate(p)) for p in pairs), tuple(as_array(p[..., 0] > p[..., 1]) for p in pairs),
-        device(neighbors), device(row_entries),
+        _device(indptr), _device(indices), _device(order), _device(diagonal), _device(places),
+        _device(node_blocks),
+        tuple(_device(locate(p)) for p in pairs), tuple(as_array(p[..., 0] > p[..., 1]) for p in pairs),
+        _device(neighbors), _device(row_entries),
         build_coarse_space(rest, np.stack([block_row, block_col], axis=1)),
-        None if faces is None else device(locate(np.asarray(faces)[:, np.array(upper_pairs(3))])),
+        None if faces is None else _device(locate(np.asarray(faces)[:, np.array(upper_pairs(3))])),
     )  # fmt: skip
+
+
+def _device(a: Int[np.ndarray, " *axes"]) -> Int[Array, " *axes"]:
+    return as_array(a.astype(np.int32))
 
 
 def _check_size(n: int, block_row: Int[np.ndarray, " blocks"], block_col: Int[np.ndarray, " blocks"]) -> None:

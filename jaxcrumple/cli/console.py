@@ -115,7 +115,11 @@ def _shown_once() -> Callable[..., None]:
 
 
 def keep_programs() -> None:
-    """Enable the persistent compilation cache, unless no folder is writable."""
+    """Enable the persistent compilation cache, unless no folder is writable.
+
+    The compiler's alarm about long compile times, which asks users to report a bug, is silenced.
+    """
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     # An unusable cache only costs time.
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache")
     try:

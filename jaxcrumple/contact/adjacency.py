@@ -38,6 +38,18 @@ class Fans(eqx.Module):
     ends: Int[Array, "ways 2"]
     longest: Count
 
+    def padded(self, around: int, ways: int) -> "Fans":
+        """Return the fans with room for `around` hinges at a node, and more `ways`, which never turn."""
+        width, spare = self.hinges.shape[1], ways - len(self.ends)
+        ends, none = np.asarray(self.ends), np.asarray(self.hinges).max()
+        rows, places = ((0, spare), (0, 0)), ends // (width + 1) * (around + 1) + ends % (width + 1)
+        return Fans(
+            as_array(np.pad(self.triangles, rows), jnp.int32),
+            as_array(np.pad(self.hinges, ((0, 0), (0, around - width)), constant_values=none), jnp.int32),
+            as_array(np.pad(places, rows), jnp.int32),
+            self.longest,
+        )
+
     def turning(self, theta: HingeValues) -> Float[Array, " ways"]:
         """Return the total turn (w,) in rad along each way, for hinge angles `theta` (h,) in rad."""
         angles = jnp.append(jnp.abs(theta), 0.0)

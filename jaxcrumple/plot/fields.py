@@ -22,6 +22,7 @@ from jaxcrumple.plot.sheet import CURVATURE_LABEL, color_scale
 from jaxcrumple.run.config import RunConfig
 from jaxcrumple.scene import Scene
 from jaxcrumple.scenes.catalogue import SCENES
+from jaxcrumple.scenes.functions import is_function
 from jaxcrumple.solvers.contact.reallocate import with_contacts
 
 Values = Float[np.ndarray, " ..."]
@@ -59,8 +60,11 @@ def _strain(run: Run, frame: int) -> Values:
 
 def _contact(run: Run, frame: int) -> Values:
     """Return the contact force on each node, in its area, in kPa."""
-    if run.scene is None and run.config.get("scene") not in SCENES:
-        raise ValueError("the contact force needs a run of a named scene; choose another field.")
+    name = run.config.get("scene")
+    if run.scene is None and not (name in SCENES or is_function(name)):
+        raise ValueError(
+            "the contact force needs the scene of the run: dataclasses.replace(run, scene=setup.scene)."
+        )
     with jax.enable_x64(True):
         x, scene = jnp.asarray(run.x[frame]), run.scene or _scene(json.dumps(run.config))
         contact = scene.contact

@@ -53,7 +53,7 @@ def picture(
     """Draw a frame of a run in space. `draw_sheet` draws any mesh with any values.
 
     **Arguments:** `frame`: index of the frame, -1 for the last; `field`: "curvature", "damage", "strain",
-    "contact", or "paper" for the shape alone; `walls`: whether to show the walls of a named scene; `axes`:
+    "contact", or "paper" for the shape alone; `walls`: whether to show the walls; `axes`:
     of Matplotlib to draw into, by default those of a new figure with caption and colour bar; `scale`: of the
     colours, a `ScalarMappable` of Matplotlib that pictures can share, by default one that spans the values;
     `view` (3,): direction from the sheet to the camera, with `up` (3,) vertical; `pixels`: of the longer side

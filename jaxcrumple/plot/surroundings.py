@@ -12,16 +12,18 @@ from jaxcrumple.io.run import Run
 from jaxcrumple.model.walls import AbstractShape
 from jaxcrumple.run.config import RunConfig
 from jaxcrumple.scenes.catalogue import SCENES
+from jaxcrumple.scenes.functions import is_function
 
 # Options of scenes that do not move walls, at values for which a scene is built quickly.
 QUICK = {"contact": None, "contact_range": None, "contact_level": None, "sweeps": 0}
 
 
 def wall_shapes(run: Run) -> Sequence[AbstractShape]:
-    """Return the walls of a run; none for a scene that its options do not tell."""
+    """Return the walls of a run; none for a scene that its configuration does not tell."""
     if run.scene is not None:
         return [wall.shape for wall in run.scene.walls]
-    return _shapes(json.dumps(run.config)) if run.config.get("scene") in SCENES else ()
+    name = run.config.get("scene")
+    return _shapes(json.dumps(run.config)) if name in SCENES or is_function(name) else ()
 
 
 @functools.lru_cache(maxsize=4)
@@ -33,7 +35,7 @@ def _shapes(text: str) -> Sequence[AbstractShape]:
         # Scenes need double precision, which a notebook that draws pictures may not have set.
         with jax.enable_x64(True):
             walls = config.model_copy(update={"options": options}).build().scene.walls
-    except (ValueError, TypeError):
-        # A run of an older version.
+    except (ValueError, TypeError, ImportError):
+        # A run of an older version, or of a function that is not here any more.
         return ()
     return [wall.shape for wall in walls]

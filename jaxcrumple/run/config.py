@@ -95,6 +95,10 @@ def _positive(value: Any) -> float | None:
     return length if length > 0 else None
 
 
+# Options of which one replaces the other.
+YIELD = {"yield_curvature", "yield_c0"}
+
+
 class SolverOptions(Options):
     """The integrator; None selects the default of the scheme, see `integrator` and `Switch`. `ledger`:
     whether to keep the work ledger, see `Work`."""
@@ -234,6 +238,8 @@ def complete(values: Mapping[str, Any], context: Any = None) -> RunConfig:
     parts = {name: values.get(name, {}) for name in groups}
     for name, part in parts.items():
         _check_table(name, part)
+    if entry.material is not None:
+        parts["material"] = _of_scene(entry.material, parts["material"])
     if parts["solver"].get("scheme") == "paper" and "damping" in entry.options.model_fields:
         # The paper's scheme uses the internal damping (25) by default.
         parts["options"] = {"damping": "paper", **parts["options"]}
@@ -252,6 +258,16 @@ def complete(values: Mapping[str, Any], context: Any = None) -> RunConfig:
         except ValueError as error:
             raise ConfigError(str(error), _place(name, groups[name], str(error))) from error
     return config
+
+
+def _of_scene(material: Material, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the `given` options of the material, completed by those of a scene's own default material."""
+    if given.get("preset") is not None:
+        return dict(given)
+    names = set(MaterialOptions.model_fields) - {"preset"}
+    if YIELD & set(given):
+        names -= YIELD
+    return {**{name: getattr(material, name) for name in names}, **given}
 
 
 def _length(entry: SceneEntry, values: Mapping[str, Any], checked: Mapping[str, Any]) -> dict[str, Any]:

@@ -28,6 +28,11 @@ def read_scene_file(
     """
     path = Path(path)
     values, text = read_toml(path)
+    if "over" in values:
+        raise ConfigError(
+            f"{path}: the table [over] makes this a file of a sweep or a campaign; give it to `jaxcrumple "
+            "sweep` or `jaxcrumple campaign`, which check all cases before they run any."
+        )
     try:
         given = with_settings({**_with_none(values), **top}, settings)
         return complete(given, {"folder": path.parent})

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel
 
+from jaxcrumple.material.material import Material
 from jaxcrumple.scenes.arch import arch
 from jaxcrumple.scenes.axial import AxialTimes, axial, cylindrical
 from jaxcrumple.scenes.cap import cap
@@ -34,7 +35,7 @@ class SceneEntry(NamedTuple):
     options, that a run must end before, with the reason `why_it_ends`; `walls`: description of the walls, as
     a function of the options; `confines`: radius in m to which a sphere confines the sheet, as a function of
     the options and the end time in s; `own`: whether it is a function of the user, whose `Setup` has the end
-    time.
+    time; `material`: its default material, if it has one of its own.
     """
 
     build: Callable[..., Setup]
@@ -46,6 +47,7 @@ class SceneEntry(NamedTuple):
     walls: Callable[[Given], Sequence[str]] = lambda options: ()
     confines: Callable[[Given, float], float] = lambda options, t_end: math.inf
     own: bool = False
+    material: Material | None = None
 
     def end(self, given: Given) -> float:
         """Return the default end time in s for these options, to nine digits."""

@@ -4,13 +4,17 @@ import importlib
 import importlib.util
 import inspect
 import sys
-from collections.abc import Callable, Mapping
+import sysconfig
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, create_model
 
+from jaxcrumple.material.material import Material
 from jaxcrumple.options.suggest import nearest
 from jaxcrumple.options.units import si_of_any
 from jaxcrumple.options.validation import ConfigError
@@ -30,6 +34,8 @@ def scene_entry(name: Any) -> SceneEntry:
         return SCENES[name]
     if is_function(name):
         return _entry_of(_function(name), name)
+    if isinstance(name, str) and name.endswith(".py"):
+        raise ConfigError(f"scene {name!r} names a file: name a function in it, {name}:FUNCTION.", ("scene",))
     known = nearest(str(name), SCENES) if isinstance(name, str) else f"; give one of {', '.join(SCENES)}."
     raise ConfigError(f"scene {name!r} is unknown{known}", ("scene",))
 
@@ -49,7 +55,8 @@ def absolute(name: str) -> str:
 
 def _function(name: str) -> Callable[..., Setup]:
     place, _, attribute = name.rpartition(":")
-    module = _from_file(Path(place)) if place.endswith(".py") else _imported(place)
+    with _users_code(name):
+        module = _from_file(Path(place)) if place.endswith(".py") else _imported(place)
     function = getattr(module, attribute, None)
     if not callable(function):
         functions = [key for key, value in vars(module).items() if inspect.isfunction(value)]
@@ -57,6 +64,34 @@ def _function(name: str) -> Callable[..., Setup]:
             f"scene {name!r}: {place} has no function {attribute!r}{nearest(attribute, functions)}"
         )
     return function
+
+
+@contextmanager
+def _users_code(name: str) -> Iterator[None]:
+    """Tell an error in the user's own code from one of this package.
+
+    **Raises:** `ConfigError` with file and line of the user's code.
+    """
+    try:
+        yield
+    except Exception as error:
+        if not (place := _users_line(error)):
+            raise
+        raise ConfigError(f"scene {name!r}: {place}: {type(error).__name__}: {error}", ("scene",)) from error
+
+
+def _users_line(error: Exception) -> str:
+    """Return file and line of the user's code that raised an error, or that called a library which did; empty
+    if it called this package."""
+    standard = {sysconfig.get_paths()[name] for name in ("stdlib", "platstdlib")}
+    for frame, line in reversed(list(traceback.walk_tb(error.__traceback__))):
+        name, file = str(frame.f_globals.get("__name__")), frame.f_code.co_filename
+        if name.partition(".")[0] == "jaxcrumple":
+            return ""
+        library = {"site-packages", "dist-packages"} & set(Path(file).parts)
+        if Path(file).is_file() and not library and not any(map(Path(file).is_relative_to, standard)):
+            return f"{file}, line {line}"
+    return ""
 
 
 def _imported(name: str) -> ModuleType:
@@ -79,7 +114,10 @@ def _imported(name: str) -> ModuleType:
 def _from_file(path: Path) -> ModuleType:
     if not path.is_file():
         raise ConfigError(f"scene: there is no file {str(path)!r}; give FILE.py:FUNCTION.", ("scene",))
-    name = str(path.resolve())
+    name, folder = str(path.resolve()), str(path.resolve().parent)
+    # As `python FILE.py` does.
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
     if name not in sys.modules:
         spec = importlib.util.spec_from_file_location(name, path)
         assert spec is not None and spec.loader is not None
@@ -106,7 +144,9 @@ def _entry_of(function: Callable[..., Setup], name: str) -> SceneEntry:
     options = option_fields({key: _with_unit(parameter) for key, parameter in parameters.items()})
     model = create_model(f"Options of {name}", __base__=_FunctionOptions, **options)
     summary = (inspect.getdoc(function) or "scene of the user").splitlines()[0].rstrip(".")
-    return SceneEntry(_checked(function, name), model, _no_end, summary, own=True)
+    material = parameters["material"].default
+    own = material if isinstance(material, Material) else None
+    return SceneEntry(_checked(function, name), model, _no_end, summary, own=True, material=own)
 
 
 class _FunctionOptions(BaseModel):
@@ -127,7 +167,8 @@ def _with_unit(parameter: inspect.Parameter) -> inspect.Parameter:
 
 def _checked(function: Callable[..., Setup], name: str) -> Callable[..., Setup]:
     def build(nodes: int, seed: int, **options: Any) -> Setup:
-        setup = function(nodes=nodes, seed=seed, **options)
+        with _users_code(name):
+            setup = function(nodes=nodes, seed=seed, **options)
         if not isinstance(setup, Setup):
             raise ConfigError(f"scene {name!r} must return a jaxcrumple.Setup, not {type(setup).__name__}.")
         return setup

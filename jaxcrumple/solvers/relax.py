@@ -25,6 +25,7 @@ from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.contact.crossings import passes, unlisted_turn
 from jaxcrumple.solvers.contact.reallocate import Reallocation
 from jaxcrumple.solvers.contact.schedule import without_matrix
+from jaxcrumple.solvers.equilibrium import Conditions, with_derivative
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor
 from jaxcrumple.solvers.linear.registry import choose_linear_solver
 from jaxcrumple.solvers.start import check_gap, check_start
@@ -159,6 +160,10 @@ def relax(
 
     No step passes through a wall or through the sheet itself. The host rebuilds the contact lists as the
     sheet moves. Inside a function that JAX traces, `relax` has only the lists of the scene.
+
+    Derivatives, forward and reverse, follow from the implicit function theorem: those of the equilibrium with
+    respect to scene, time and rest curvature. The start has none. Near a buckling point they grow without
+    bound; they are NaN where the stiffness is singular.
 
     **Arguments:** `t`: time in s of walls, loads and supports, by default that of the state. Supports move
     their nodes to where they hold them then: for a curve of equilibria, call `relax` for one time after the
@@ -316,6 +321,11 @@ def _stepped(
     return y, indefinite
 
 
+def _without_derivative(tree: Any) -> Any:
+    numbers, rest = eqx.partition(tree, eqx.is_inexact_array)
+    return eqx.combine(jax.lax.stop_gradient(numbers), rest)
+
+
 @eqx.filter_jit
 def _relax(
     scene: Scene,
@@ -325,8 +335,11 @@ def _relax(
     max_iterations: Count,
     shift: Scalar,
 ) -> tuple[Relaxed, Scalar]:
-    """Return the outcome and the last shift."""
+    """Return the outcome and the last shift. The outcome's positions have the derivative of an equilibrium;
+    the iteration has none."""
     scene = scene if linear.one_matrix else without_matrix(scene)
+    given_scene, given_state = scene, state
+    scene, state, given, shift = _without_derivative((scene, state, given, shift))
     top = _largest(scene)
 
     def own_tolerance(carry: _Carry) -> Scalar:
@@ -363,7 +376,9 @@ def _relax(
             soften,
             factor,
             carry.iterations + 1,
-            _rounding(x, jnp.max(values[scene.sparsity.diagonal] - jnp.repeat(carry.shift * scene.mass, 3))),
+            _rounding(
+                old.x, jnp.max(values[scene.sparsity.diagonal] - jnp.repeat(carry.shift * scene.mass, 3))
+            ),
             carry.moved | keep,
             held_up,
             lost & ~keep & ~indefinite,
@@ -389,7 +404,9 @@ def _relax(
     bare = elastic_tangent(scene, end.point.x, state.p, state.t, PROBE_SHIFT * top, no)
     last = linear.factor(scene.sparsity, bare, end.factor)
     linear.release(last, last.negative)
-    rested = restarted(scene, state, end.point.x, jnp.zeros_like(end.point.x))
+    conditions = Conditions(given_scene, given_state.p, given_state.t, SHIFT_FLOOR * top)
+    x = with_derivative(conditions, end.point.x, linear)
+    rested = restarted(given_scene, given_state, x, jnp.zeros_like(x))
     converged = (left <= tolerance(end)) & ~idle
     # The cause of the last rejection explains the end only if it stopped the iteration.
     stopped = end.over | (end.iterations >= max_iterations)

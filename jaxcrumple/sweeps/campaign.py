@@ -50,7 +50,8 @@ def campaign(
     which it ends with the result "budget"; a repeated call resumes it; `tell`: called with name and result of
     each run as it ends.
 
-    **Returns:** a table with one row for each run: the numbers of its `summary.json`. The file `campaign.csv`
+    **Returns:** a table with one row for each run: the options in which runs differ, such as thickness, and
+    the numbers of its `summary.json`, such as crease_length and energy.bending. The file `campaign.csv`
     also has the runs of earlier campaigns in the folder, and is written even if this call is interrupted.
 
     **Raises:** ValueError, before any run starts, for a name that no folder can have, a folder that holds
@@ -75,23 +76,30 @@ def campaign(
                     summaries[name] = summary
                     tell(name, summary["result"])
     finally:
-        _write_table(summaries, place)
-    return _table(summaries)
+        _write_table(runs, summaries, place)
+    return _table(runs, summaries)
 
 
-def _write_table(summaries: Mapping[str, Mapping[str, Any]], place: Path) -> None:
+def _write_table(
+    runs: Mapping[str, RunConfig], summaries: Mapping[str, Mapping[str, Any]], place: Path
+) -> None:
     """Write the table of all ended runs in the folder."""
     others = {path.parent.name: path.parent for path in sorted(place.glob("*/summary.json"))}
     earlier = {name: _summary(path) for name, path in others.items() if not summaries.get(name)}
     ended = {name: summary for name, summary in {**summaries, **earlier}.items() if summary}
     if ended:
-        write_bytes(place / TABLE, _table(ended).to_csv().encode(errors="backslashreplace"))
+        known = {name: runs.get(name) or stored_config(RunDirectory.open(others[name])) for name in ended}
+        write_bytes(place / TABLE, _table(known, ended).to_csv().encode(errors="backslashreplace"))
 
 
-def _table(summaries: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
-    """Return a table with one row for each run."""
-    rows = pd.json_normalize(list(summaries.values()))
-    return rows.set_index(pd.Index(list(summaries), name="run"))
+def _table(runs: Mapping[str, RunConfig], summaries: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
+    """Return a table with one row for each run: the options in which runs differ, then its summary."""
+    index = pd.Index(list(summaries), name="run")
+    rows = pd.json_normalize(list(summaries.values())).set_index(index)
+    options = pd.DataFrame([_flat(runs[name]) for name in summaries], index=index)
+    differ = options.astype(str).nunique() > 1
+    varied = options.loc[:, differ].rename(columns=lambda name: name.rpartition(".")[2])
+    return varied[varied.columns.difference(rows.columns, sort=False)].join(rows)
 
 
 def _check_runs(runs: Mapping[str, RunConfig], place: Path) -> None:

@@ -8,6 +8,7 @@ import pytest
 
 import jaxcrumple as jc
 from jaxcrumple.io import RunDirectoryError
+from jaxcrumple.options.validation import ConfigError
 from jaxcrumple.run.check import described
 from jaxcrumple.run.config import configure
 
@@ -89,6 +90,43 @@ def test_options_of_a_function_are_checked(module):
     ):
         with pytest.raises(jc.ConfigError, match=message):
             configure(f"{module}:dropped", nodes=40, settings=settings)
+
+
+def test_a_functions_own_material_is_the_default(module, tmp_path):
+    """Options change it one by one; a preset replaces it."""
+    own = SOURCE.replace("*, material,", "*, material=jc.Material(thickness=1e-4, yield_curvature=50.0),")
+    (tmp_path / "thin.py").write_text(own)
+    for settings, expected in (
+        ([], (1e-4, 50.0, None)),
+        (["yield_curvature=30"], (1e-4, 30.0, None)),
+        (["yield_c0=0.2"], (1e-4, None, 0.2)),
+        (["preset=paper"], (jc.preset("paper").thickness, jc.preset("paper").yield_curvature, None)),
+    ):
+        material = configure("thin.py:dropped", nodes=40, settings=settings).material
+        assert (material.thickness, material.yield_curvature, material.yield_c0) == expected
+    assert configure(f"{module}:dropped", nodes=40).material.thickness == 2.5e-4
+
+
+def test_errors_of_the_users_code_are_told_with_their_line(tmp_path, monkeypatch):
+    """A module beside the file is found; refusals of this package stay as they are."""
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    (tmp_path / "beside.py").write_text("WIDTH = 0.02\n")
+    (tmp_path / "sound.py").write_text("from beside import WIDTH\n" + SOURCE)
+    assert configure(f"{tmp_path}/sound.py:dropped", nodes=40).t_end == 2e-3
+    (tmp_path / "missing.py").write_text("import no_such_module\n")
+    with pytest.raises(ConfigError, match=r"missing.py, line 1: ModuleNotFoundError: No module named"):
+        configure(f"{tmp_path}/missing.py:dropped")
+    (tmp_path / "broken.py").write_text(SOURCE.replace("sweeps=3", "sweeps=three"))
+    with pytest.raises(ConfigError, match=r"broken.py, line 10: NameError: name 'three'"):
+        configure(f"{tmp_path}/broken.py:dropped", nodes=40)
+    (tmp_path / "shapes.py").write_text(SOURCE.replace("0.0, height])", "height])"))
+    with pytest.raises(ConfigError, match=r"shapes.py, line 11: ValueError: operands could not be broadcast"):
+        configure(f"{tmp_path}/shapes.py:dropped", nodes=40)
+    (tmp_path / "refused.py").write_text(SOURCE.replace("sweeps=3", "sweeps=-3"))
+    with pytest.raises(ValueError, match=r"^sweeps = -3 is too small"):
+        configure(f"{tmp_path}/refused.py:dropped", nodes=40)
+    with pytest.raises(ConfigError, match="names a file: name a function in it"):
+        configure(f"{tmp_path}/sound.py")
 
 
 def test_the_command_runs_a_function_that_goes_on_from_anywhere(module, tmp_path, monkeypatch, in_process):

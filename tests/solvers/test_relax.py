@@ -204,6 +204,68 @@ def test_inside_a_traced_function():
     np.testing.assert_allclose(inside.state.x, rested(scene).state.x, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("linear", "rests", "error"),
+    [("direct", False, 2e-5), ("direct", True, 2e-5), ("two-level", True, 1e-3)],
+)
+def test_the_derivative_of_an_equilibrium_is_that_of_finite_differences(linear, rests, error):
+    """In both modes, whether the start is the equilibrium itself, which takes no iteration, or not.
+
+    Conjugate gradients leave the soft strip farther from its equilibrium."""
+    if linear == "direct" and not direct_available():
+        pytest.skip("no direct solver here")
+    x = mesh().vertices
+    scene = eqx.tree_at(lambda s: s.prescribed.motion, cantilever(), jc.LinearMotion(x, (0.01, 0.0, 0.03)))
+    state = jc.initial_state(scene, x)
+    state = relax(scene, state, t=0.2).state if rests else state
+
+    def place(soft, t):
+        bent = eqx.tree_at(lambda s: s.bending.stiffness, scene, soft * scene.bending.stiffness)
+        there = relax(bent, state, t=t, linear=linear, force_tolerance=1e-12).state.x
+        return there[:, 0].mean() + there[:, 2].mean()
+
+    at = (jnp.asarray(1.0), jnp.asarray(0.2))
+    reverse = jax.grad(place, argnums=(0, 1))(*at)
+    for k, step in enumerate((2e-3, 1e-2)):
+        along = [jnp.zeros(()), jnp.zeros(())]
+        along[k] = jnp.ones(())
+        forward = float(jax.jvp(place, at, tuple(along))[1])
+        moved = ([v + sign * step * d for v, d in zip(at, along, strict=True)] for sign in (1, -1))
+        ends = [float(place(*values)) for values in moved]
+        assert forward == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=error)
+        assert float(reverse[k]) == pytest.approx(forward, rel=1e-6)
+    # A clamp that moves takes the whole strip with it.
+    assert float(reverse[1]) == pytest.approx(0.04, rel=1e-3)
+
+
+def test_a_failing_step_does_not_loosen_the_tolerance():
+    """A wrinkling strip on an elastic foundation: rejected steps reach far, and once raised the rounding
+    error that the default tolerance allows for to 3e-5 of the forces."""
+    strip = jc.hexagonal(101, 2, 1e-3, reorder=False)
+    wavy = strip.vertices.copy()
+    wavy[:, 2] = 1e-6 * np.random.default_rng(0).normal(size=len(wavy))
+    base = jc.Mesh.from_arrays(wavy, strip.faces)
+    material = jc.Material(young_modulus=1e9, thickness=0.2e-3, yield_curvature=None)
+    stiffness = 8 / 9 * material.bending_rigidity
+    bed = stiffness * (2 * np.pi / 16e-3) ** 4
+    terms = jc.ElementEnergy(
+        np.arange(base.n_nodes)[:, None],
+        lambda x, weight, t: 0.5 * weight * x[0, 2] ** 2,
+        jnp.asarray(bed * base.node_area),
+    )
+    critical = 2 * np.sqrt(stiffness * bed) / material.young_modulus_2d
+    x = base.vertices
+    ends = np.abs(x[:, 0]) > np.abs(x[:, 0]).max() - 0.75e-3
+    motion = jc.LinearMotion(x, np.outer(np.where(ends, -x[:, 0], 0.0), [1.0, 0.0, 0.0]))
+    grips = jc.Prescribed(np.repeat(ends[:, None], 3, axis=1), motion)
+    scene = sheet(base, material, prescribed=grips, extra=[terms])
+    state = initial_state(scene, x)
+    for share in (0.6, 0.8):
+        rest = relax(scene, state, t=share * critical)
+        state = rest.state
+        assert rest.converged and rest.max_force < 1.01e-9 * rest.force_scale
+
+
 # --- Stability of equilibria ---------------------------------------------------------------------
 
 

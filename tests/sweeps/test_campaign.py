@@ -92,7 +92,13 @@ def test_again_only_what_is_missing_is_done(campaign, client):
     assert len(again) == 13 and np.all(again["result"] == "success")
     np.testing.assert_array_equal(again["energy.bending"][:12], table["energy.bending"])
     one = jc.campaign({first: RUNS[first]}, folder, cluster=client)
-    assert len(one) == 1 and len(pd.read_csv(folder / "campaign.csv")) == 13
+    assert len(one) == 1
+    written = pd.read_csv(folder / "campaign.csv", index_col="run")
+    assert len(written) == 13
+    # The options in which runs differ are columns.
+    assert written.columns[:2].tolist() == again.columns[:2].tolist() == ["rise", "load"]
+    for name, row in written.iterrows():
+        assert name == f"rise={row['rise']:g},load={row['load']:g}"
 
 
 def test_a_run_killed_before_it_was_there_is_begun_again(tmp_path):
