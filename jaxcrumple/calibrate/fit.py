@@ -1,6 +1,7 @@
 """`fit`: estimate parameters of runs from measurements, by least squares, gradient descent or bracketing."""
 
-from collections.abc import Callable, Mapping
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -13,6 +14,7 @@ from jaxtyping import ArrayLike, Float
 from scipy.optimize import brentq, least_squares
 
 from jaxcrumple._jax.door import door
+from jaxcrumple._jax.tree import shown
 from jaxcrumple.calibrate.evaluate import Evaluations
 from jaxcrumple.calibrate.experiment import Experiment, Values
 from jaxcrumple.solvers.scheme import Integrator
@@ -90,7 +92,7 @@ class Fit:
 
 @door
 def fit(
-    experiment: Experiment,
+    experiment: Experiment | Sequence[Experiment],
     parameters: Mapping[str, Parameter],
     *,
     method: Literal["least-squares", "root"] | optax.GradientTransformation = "least-squares",
@@ -102,13 +104,15 @@ def fit(
     checkpoint: str | Path | None = None,
     tell: Callable[[Mapping[str, Any]], None] = lambda row: None,
 ) -> Fit:
-    """Find the parameters that minimise the residuals of an experiment.
+    """Find the parameters that minimise the residuals of an experiment, or of several together.
 
-    Each trial is a separate run with its own steps. Its derivatives come from its `replay`.
+    Each trial is a separate run with its own steps. Its derivatives come from its `replay`. A warning tells
+    if they contradict the differences between trials, as near snaps: then `std` means nothing.
 
     **Arguments:**
 
-    - `experiment`: the run, and the comparison of its frames with measurements.
+    - `experiment`: the run, and the comparison of its frames with measurements; or a list of them, whose
+      residuals are joined.
     - `parameters`: the unknown parameters, by name.
     - `method`: "least-squares": SciPy's trust-region method, with derivatives in forward mode. An Optax
       optimiser: gradient steps in reverse mode, clipped to the bounds. "root": Brent's method for one
@@ -147,7 +151,13 @@ def fit(
     _check_options(method, len(parameters), max_steps, rtol)
     names, path = tuple(parameters), None if checkpoint is None else Path(checkpoint)
     scales = {name: own.log for name, own in parameters.items()}
-    evaluations = Evaluations(experiment, code.decoded, code.start, scales, solver, max_attempts, path, tell)
+    experiments = [experiment] if isinstance(experiment, Experiment) else experiment
+    if not (isinstance(experiments, Sequence) and experiments):
+        raise ValueError(
+            "experiment must be an Experiment(setup, times, residuals) or a list of them, not "
+            f"{shown(experiment)}."
+        )
+    evaluations = Evaluations(experiments, code.decoded, code.start, scales, solver, max_attempts, path, tell)
     if method == "root" and evaluations.size != 1:
         raise ValueError(f"'root' needs one residual for its one parameter, not {evaluations.size}.")
     if scaled and evaluations.size <= len(parameters):
@@ -175,7 +185,10 @@ def fit(
     bound = code.at_bound(u, rtol)
     if bound and success:
         success, message = False, f"{bound}; widen its bounds, or check the model."
-    return _result(evaluations, code, u, scaled, success, message)
+    found = _result(evaluations, code, u, scaled, success, message)
+    if told := evaluations.contradiction(u):
+        warnings.warn(told, stacklevel=3)
+    return found
 
 
 def _check_options(method: Any, parameters: int, max_steps: int, rtol: float) -> None:

@@ -17,7 +17,7 @@ from jaxcrumple.calibrate.fit import Fit, Parameter, fit
 from jaxcrumple.material.material import Material
 from jaxcrumple.replays.replay import Replay
 from jaxcrumple.scene import Scene
-from jaxcrumple.scenes.fold import TIMES, default_gap, fold, fold_angle
+from jaxcrumple.scenes.fold import SIZE, FoldTimes, default_gap, fold, fold_angle
 from jaxcrumple.solvers.scheme import Integrator, integrator
 from jaxcrumple.state import State, initial_state
 
@@ -59,6 +59,7 @@ def calibrate_fold(
     start: Parameter | None = None,
     method: Literal["least-squares", "root"] = "least-squares",
     material: Material | None = None,
+    options: Mapping[str, Any] | None = None,
     solver: Integrator | None = None,
     checkpoint: str | Path | None = None,
     tell: Callable[[Mapping[str, Any]], None] = lambda row: None,
@@ -71,19 +72,24 @@ def calibrate_fold(
     **Arguments:** `angle` and its standard deviation `std` in rad; `nodes`, `seed` of the mesh; `start`:
     initial guess and bounds of the yield curvature in 1/m, by default a guess that retains about 100 degrees;
     `method`: "least-squares", or "root" to bracket at once; `material`: all material parameters except the
-    yield curvature, by default `Material()`; `solver`: by default `integrator(scheme="dynamic")`;
+    yield curvature, by default `Material()`; `options`: of the scene `fold`, such as gap, size, press and
+    relax, as in the experiment; `solver`: by default `integrator(scheme="dynamic")`;
     `checkpoint`, `tell` as in `fit`.
 
-    **Raises:** ValueError for an angle outside (0, pi), and as `fit`.
+    The sheet must be at rest at the end: its angle is that of the last frame. A thin or large sheet needs a
+    longer `relax`, and a calibrated value belongs to the node distance over the gap, see the documentation.
+
+    **Raises:** ValueError for an angle outside (0, pi) or options that `fold` refuses, and as `fit`.
     """
     if not 0 < angle < np.pi:
         raise ValueError(f"angle = {angle!r} rad must lie between 0 and pi; pi is a flat sheet.")
     if not (np.isfinite(std) and std > 0):
         raise ValueError(f"std = {std!r} rad must be a positive angle.")
-    gap = default_gap(nodes)
+    given = {"gap": default_gap(nodes, (options or {}).get("size", SIZE)), **(options or {})}
+    gap, times = given["gap"], FoldTimes(**{name: given[name] for name in FoldTimes._fields if name in given})
     start = start or Parameter(START / gap, *BOUNDS)
     own = replace(material or Material(), yield_c0=None, yield_curvature=start.start)
-    setup = fold(nodes, seed, gap=gap, material=own)
+    setup = fold(nodes, seed, **given, material=own)
 
     def run(values: Values) -> tuple[Scene, State]:
         scene = setup.made_of(replace(own, yield_curvature=values[YIELD]))
@@ -92,20 +98,20 @@ def calibrate_fold(
     def residuals(frames: Replay) -> Float[Array, " 1"]:
         return jnp.atleast_1d((fold_angle(setup.mesh, frames.x[-1]) - angle) / std)
 
-    experiment = Experiment(run, [TIMES.release, TIMES.end], residuals)
+    experiment = Experiment(run, [times.release, times.end], residuals)
     with tempfile.TemporaryDirectory() as folder:
         # The motion is too slow for explicit steps to save time.
-        options: dict[str, Any] = {
+        settings: dict[str, Any] = {
             "solver": solver or integrator(scheme="dynamic"),
             "checkpoint": checkpoint or Path(folder) / "fit.jsonl",
             "tell": tell,
         }
         if method == "least-squares":
-            found = fit(experiment, {YIELD: start}, **options)
+            found = fit(experiment, {YIELD: start}, **settings)
         if method == "root":
-            found = fit(experiment, {YIELD: start}, method="root", rtol=WIDTH, **options)
+            found = fit(experiment, {YIELD: start}, method="root", rtol=WIDTH, **settings)
         elif abs(found.residuals[0]) > MISSED:
-            second = fit(experiment, {YIELD: start}, method="root", rtol=WIDTH, **options)
+            second = fit(experiment, {YIELD: start}, method="root", rtol=WIDTH, **settings)
             found = _together(found, second)
     value, deviation = found.values[YIELD], found.std[YIELD]
     c0 = replace(own, yield_curvature=value).discretize(setup.mesh).c0

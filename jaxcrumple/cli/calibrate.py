@@ -17,6 +17,14 @@ def calibrate_by_fold(
     nodes: Annotated[int, typer.Option(help="Nodes of the mesh.")] = 1000,
     seed: Annotated[int, typer.Option(help="Seed of the mesh.")] = 0,
     std: Annotated[float, typer.Option(help="Standard deviation of the angle in degrees.")] = 1.0,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="An option of the fold or the material, such as 'gap=6 mm'; repeatable.",
+        ),
+    ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the result to this file.")] = None,
     checkpoint: Annotated[Path | None, typer.Option(help="File of all runs; continued if present.")] = None,
 ) -> None:
@@ -25,6 +33,7 @@ def calibrate_by_fold(
 
     from jaxcrumple.calibrate.fold import calibrate_fold
     from jaxcrumple.io.atomic import json_bytes, write_bytes
+    from jaxcrumple.run.config import configure
 
     if not 0 < target_angle < 180:
         raise ValueError(
@@ -32,6 +41,9 @@ def calibrate_by_fold(
         )
     if not (math.isfinite(std) and std > 0):
         raise ValueError(f"--std = {std:g} must be a positive angle in degrees.")
+    config = configure("fold", nodes=nodes, seed=seed, settings=settings or [])
+    options = {name: value for name, value in config.options.items() if value is not None}
+    assert config.material is not None
     if json_file is not None:
         check_place(json_file, "--json")
     kept = "nothing is saved, because no --checkpoint was given"
@@ -43,6 +55,8 @@ def calibrate_by_fold(
             nodes=nodes,
             seed=seed,
             std=math.radians(std),
+            material=config.material.build(),
+            options=options,
             checkpoint=checkpoint,
             tell=_tell_evaluation,
         )

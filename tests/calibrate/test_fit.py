@@ -1,6 +1,7 @@
 """Fits against a closed form: a sheet that falls through air."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
@@ -71,6 +72,37 @@ def test_least_squares_finds_the_drag_and_how_well_it_is_known(found):
 
 
 @pytest.mark.slow
+def test_several_experiments_are_fitted_together(found, tmp_path):
+    """Two equal experiments halve the variance; the same parameters fit both, also from the file."""
+    path = tmp_path / "fit.jsonl"
+    both = falling([DATA, DATA], checkpoint=path)
+    assert both.success and both.residuals.shape == (2 * len(TIMES),)
+    assert both.values["rate"] == pytest.approx(found.values["rate"], rel=1e-6)
+    assert both.std["rate"] == pytest.approx(found.std["rate"] / np.sqrt(2.0), rel=1e-6)
+    assert both.loss == pytest.approx(2.0 * found.loss, rel=1e-6)
+    assert falling([DATA, DATA], checkpoint=path).values == both.values
+    with pytest.raises(ValueError, match="another number of experiments"):
+        falling(checkpoint=path)
+    late = DATA._replace(times=1.1 * TIMES)
+    with pytest.raises(ValueError, match="differs in times of experiment 1"):
+        falling([DATA, late], checkpoint=path)
+    with pytest.raises(ValueError, match="must be an Experiment"):
+        falling([])
+
+
+def test_derivatives_that_contradict_the_runs_are_told():
+    """Residuals whose values move with steps that their derivatives do not see."""
+
+    def rough(frames):
+        exact = DATA.residuals(frames)
+        return exact + jax.lax.stop_gradient(-0.9 * exact)
+
+    with pytest.warns(
+        UserWarning, match=r"contradict its neighbour: .* The standard deviations mean nothing"
+    ):
+        falling(DATA._replace(residuals=rough), max_steps=12)
+
+
 def test_an_optimiser_finds_the_same(found):
     again = falling(method=optax.adam(0.2), max_steps=25)
     assert again.values["rate"] == pytest.approx(found.values["rate"], rel=2e-2)

@@ -57,12 +57,14 @@ def test_the_angle_of_a_sharp_fold():
 def test_the_command_finds_the_yield_curvature_of_a_fold(tmp_path):
     """That of a run which kept that angle, in few derivatives; and says how well it is known."""
     true, nodes, path = 28.0, 60, tmp_path / "found.json"
-    setup = jc.fold(nodes, material=jc.Material(yield_curvature=true))
+    gap, thin = 0.03, jc.Material(yield_curvature=true, thickness=2e-4)
+    setup = jc.fold(nodes, gap=gap, relax=0.4, material=thin)
     state = jc.initial_state(setup.scene, setup.x)
-    times = [TIMES.release, TIMES.end]
+    times = [TIMES.release, TIMES.release + 0.4]
     solution = jc.simulate(setup.scene, state, times, solver=jc.integrator(1e-3, scheme="dynamic"))
     angle = np.rad2deg(float(jc.fold_angle(setup.mesh, jnp.asarray(solution.x[-1]))))
-    options = ["--nodes", str(nodes), "--std", "0.5", "--json", str(path)]
+    options = ["--nodes", str(nodes), "--std", "0.5", "--json", str(path), "--set", "thickness=0.2 mm"]
+    options += ["--set", f"gap={gap}", "--set", "relax=0.4"]
     answer = CliRunner().invoke(app, ["calibrate", "fold", "--target-angle", str(angle), *options])
     assert answer.exit_code == 0, answer.output
     found = json.loads(path.read_text())
