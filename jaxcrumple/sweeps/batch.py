@@ -22,6 +22,7 @@ from jaxcrumple.state import RESULTS, State, initial_state
 from jaxcrumple.sweeps import lanes
 from jaxcrumple.sweeps.cases import Case, Limits, blamed
 from jaxcrumple.sweeps.lanes import AXIS, Inputs, differing, lane, lanes_of, spread, stacked
+from jaxcrumple.sweeps.size_class import SizeClass
 from jaxcrumple.sweeps.table import Frames, Measure, Outcome, Tell
 
 # Bytes per node and lane of a scene and a state.
@@ -73,6 +74,8 @@ class _Batch:
         self.setups = [cases[0].build()]
         _check_size(len(cases), self.setups[0].mesh.n_nodes)
         self.setups += [case.build() for case in cases[1:]]
+        sizes = SizeClass.of([setup.scene for setup in self.setups])
+        self.setups = [setup._replace(scene=sizes.padded(setup.scene)) for setup in self.setups]
         states = [initial_state(setup.scene, setup.x) for setup in self.setups]
         self.solvers = [case.solver for case in cases]
         for case, setup, state in zip(cases, self.setups, states, strict=True):

@@ -52,8 +52,8 @@ def differing(inputs: Sequence[Inputs]) -> Inputs:
         difference = _difference(arrays[0], other)
         if difference or not eqx.tree_equal(rest, static[0]):
             raise ValueError(
-                "the members of a batch must be of one mesh and one kind, with the same nodes, seed, scheme "
-                f"and contact_level{difference}; split the sweep, or choose "
+                "the members of a batch must be of one kind, with the same numbers of nodes, edges and "
+                f"hinges, scheme and contact_level{difference}; split the sweep, or choose "
                 "backend='processes'."
             )
     return jax.tree.map(lambda first, *rest: any(not _same(first, one) for one in rest), *arrays)
