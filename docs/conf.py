@@ -50,4 +50,6 @@ add_module_names = False
 maximum_signature_line_length = 100
 
 html_theme = "furo"
+html_static_path = ["static"]
+html_css_files = ["style.css"]
 html_title = f"jaxcrumple {release}"

@@ -92,6 +92,18 @@ def hinge_cycle() -> None:
     figure, axes = plain()
     axes.plot(c, c - p, color="#1f4e79")
     axes.axhline(0.0, color="#bbbbbb", linewidth=0.8)
+    for threshold in (-0.3, 0.3):
+        axes.axhline(threshold, color="#888888", linewidth=0.8, linestyle="--")
+    for part, moment in enumerate((0.45, 1.5, 3.5), start=1):
+        place = np.searchsorted(time, moment)
+        ahead = place + 4000
+        axes.annotate(
+            "",
+            (c[ahead], (c - p)[ahead]),
+            (c[place], (c - p)[place]),
+            arrowprops={"arrowstyle": "-|>", "color": "#1f4e79", "mutation_scale": 16},
+        )
+        axes.annotate(str(part), (c[place], (c - p)[place]), (-14, 6), textcoords="offset points")
     released = np.flatnonzero((time > 1.0) & (c <= p))[0]
     kept = p[released]
     axes.plot(kept, 0.0, "o", color="#d9541e")

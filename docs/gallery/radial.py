@@ -53,7 +53,7 @@ parts = {
     "bending": stored["bending"],
     "stretch, contact": stored.drop(columns="bending").sum(axis=1),
     "creases": lost["work_plastic"],
-    "drag": lost.drop(columns="work_plastic").sum(axis=1),
+    "drag, damping": lost.drop(columns="work_plastic").sum(axis=1),
 }
 colors = ["#d9541e", "#7a2e0e", "#1f6fb4", "#a9cbe8"]
 axes.stackplot(100 * radius, *parts.values(), labels=parts, colors=colors)

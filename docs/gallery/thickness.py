@@ -77,7 +77,8 @@ left, right = figure.subfigures(1, 2, width_ratios=[1.1, 1])
 x, color = np.asarray(state.x), 1e3 * thickness
 axes, scale = left.subplots(), ScalarMappable(Normalize(1e3 * thin, 1e3 * thick))
 jc.draw_sheet(mesh, x, color, axes=axes, scale=scale, view=(-0.5, -1.0, 0.4), pixels=pixels)
-left.colorbar(scale, ax=axes, location="bottom", label="thickness [mm]", shrink=0.7)
+ticks = [1e3 * thin, 1e3 * thick]
+left.colorbar(scale, ax=axes, location="bottom", label="thickness [mm]", shrink=0.7, ticks=ticks)
 upper, lower = right.subplots(2, sharex=True)
 upper.plot(place[1:-1], np.abs(turn) / np.linalg.norm(step, axis=1)[1:], color="black")
 upper.set(ylabel="curvature [1/m]", ylim=(0, None))

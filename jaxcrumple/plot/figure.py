@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from pathlib import Path
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -27,7 +28,7 @@ def new_figure(size: tuple[float, float], caption: str) -> Figure:
 
 
 def fit_to_print(figure: Figure, width: float) -> None:
-    """Change the figure to a `width` in m, with letters of at most `LETTERS` points."""
+    """Change the figure to a `width` in m: letters of at most `LETTERS` points, long labels in lines."""
     wide, high = figure.get_size_inches()
     figure.set_size_inches(width / INCH, width / INCH * high / wide)
     for axes in figure.axes:
@@ -35,6 +36,20 @@ def fit_to_print(figure: Figure, width: float) -> None:
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
         text.set_fontsize(min(text.get_fontsize(), LETTERS))
+    # A colour bar is about half as high as its figure, and a letter half as wide as high.
+    fitting = int(0.5 * figure.get_size_inches()[1] * 72 / (0.5 * LETTERS))
+    for axes in figure.axes:
+        axes.set_ylabel("\n".join(_lines(axes.get_ylabel(), fitting)))
+
+
+def _lines(label: str, fitting: int) -> list[str]:
+    """Return the lines of a label, of at most `fitting` letters if words allow it; formulas stay whole."""
+    words = re.findall(r"(?:\$[^$]*\$|\S)+", label)
+    lines = [""]
+    for word in words:
+        joined = f"{lines[-1]} {word}".strip()
+        lines = [*lines[:-1], joined] if len(joined) <= fitting or not lines[-1] else [*lines, word]
+    return lines
 
 
 def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> Path:

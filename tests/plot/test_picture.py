@@ -51,6 +51,12 @@ def test_a_picture_for_print_has_the_width_of_a_column(run, tmp_path):
     drawn.figure.draw_without_rendering()
     letters = {text.get_fontsize() for text in drawn.figure.findobj(Text) if text.get_text()}
     assert letters and max(letters) <= 8
+    long = picture(run, field="damage", walls=False, width="40 mm", pixels=120).figure
+    long.draw_without_rendering()
+    label = long.axes[1].yaxis.label
+    assert "\n" in label.get_text() and "$p = 2 \\sin(\\theta_{rest} / 2)$" in label.get_text()
+    box = label.get_window_extent()
+    assert 0 <= box.y0 and box.y1 <= long.bbox.y1
     assert picture(run, walls=False, width=0.086, pixels=120).figure.get_size_inches()[0] == pytest.approx(
         3.386, abs=1e-3
     )
