@@ -173,6 +173,8 @@ def simulate(
         recorder = StepRecorder(state, solver)
         solver = recorder.solver(solver)
     watchers = (kept, *observers)
+    if solver.one_matrix and recorder is None:
+        scene = eqx.tree_at(lambda s: s.pattern, scene, scene.pattern.for_factors())
     with limited_blas():
         reallocation = None
         if scene.contact is not None:

@@ -34,6 +34,13 @@ class CoarseSpace(eqx.Module):
     window: Int[Array, "cells 36"]
     size: int = eqx.field(static=True)
 
+    def emptied(self) -> "CoarseSpace":
+        """Return a space of no functions, for solvers that use none."""
+        none = np.zeros((0, 0), int)
+        place = _device(np.zeros(len(self.place), int))
+        functions, window = (_device(np.zeros((0, width**2), int)) for width in (SUPPORT, WINDOW))
+        return CoarseSpace(self.cell, self.weights, _device(none), place, functions, window, 0)
+
     def padded(self, cells: int, members: int, size: int) -> "CoarseSpace":
         """Return the space with more `cells`, `members` of a cell, and `size` functions, which stay empty."""
         occupied, most = self.members.shape

@@ -17,6 +17,8 @@ from jaxcrumple.model.elements import upper_pairs
 
 # Bytes for each entry of the tangent during the construction of the pattern.
 ENTRY = 40.0
+# The length of rows is rounded up to a multiple of ROUND: random meshes have rows of 14 to 18 blocks.
+ROUND = 6
 # Precision of products of matrices in float32, whose factors a GPU otherwise rounds to 11 bits.
 FULL = jax.lax.Precision.HIGHEST
 
@@ -84,6 +86,12 @@ class Pattern(eqx.Module):
             row_entries=_device(wide.reshape(n, 3, -1)),
             coarse=coarse,
         )
+
+    def for_factors(self) -> "Pattern":
+        """Return the pattern for solvers that factor the matrix: without a coarse space, and with rows of
+        a rounded length. Meshes of other seeds then have arrays of the same sizes, and use one program."""
+        longest = -(-self.neighbors.shape[1] // ROUND) * ROUND
+        return self.padded(self.nnz, longest, self.coarse.emptied())
 
     def assemble(
         self,

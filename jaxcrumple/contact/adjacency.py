@@ -15,6 +15,8 @@ from jaxcrumple.mesh.mesh import Mesh
 
 # Bytes of a way around a node during construction, and of a hinge in the table of all nodes.
 WAY, ENTRY = 200.0, 12.0
+# Hinges around a node and ways are rounded up to multiples of 8, and of at least a WAYS-th of all.
+AROUND, WAYS = 8, 16
 # Two sites on triangles that share a node come closer than half of their distance at rest only if the sheet
 # between them turns by 120 degrees: a polygon's chord is at least its length times the cosine of half its
 # turning (Schur). All thresholds are lower, as a margin for stretching. The candidates include ways that turn
@@ -41,7 +43,7 @@ class Fans(eqx.Module):
     def padded(self, around: int, ways: int) -> "Fans":
         """Return the fans with room for `around` hinges at a node, and more `ways`, which never turn."""
         width, spare = self.hinges.shape[1], ways - len(self.ends)
-        ends, none = np.asarray(self.ends), np.asarray(self.hinges).max()
+        ends, none = np.asarray(self.ends), np.max(self.hinges, initial=0)
         rows, places = ((0, spare), (0, 0)), ends // (width + 1) * (around + 1) + ends % (width + 1)
         return Fans(
             as_array(np.pad(self.triangles, rows), jnp.int32),
@@ -80,15 +82,15 @@ def build_fans(mesh: Mesh) -> Fans:
         f"contact at {int(most)} triangles around node {node}",
         "remesh around that node, or choose no contact",
     )
-    fans = list(_fans(mesh, _corner_angles(mesh)))
+    around = list(_fans(mesh, _corner_angles(mesh)))
     hinge_of = _hinge_table(mesh)
-    width = 2 * max(len(fan) for fan, _, _ in fans)
-    hinges = np.full((len(fans), width), len(mesh.hinges))
+    width = 2 * max(len(fan) for fan, _, _ in around)
+    hinges = np.full((len(around), width), len(mesh.hinges))
     pairs: list[tuple[int, int]] = []
     ends: list[tuple[int, int]] = []
-    for node, (fan, angles, closed) in enumerate(fans):
-        turn, around, first = sum(angles), 2 * fan if closed else fan, node * (width + 1)
-        crossed = [hinge_of[a, b] for a, b in itertools.pairwise(around)]
+    for node, (fan, angles, closed) in enumerate(around):
+        turn, row, first = sum(angles), 2 * fan if closed else fan, node * (width + 1)
+        crossed = [hinge_of[a, b] for a, b in itertools.pairwise(row)]
         hinges[node, : len(crossed)] = crossed
         for i, j in itertools.combinations(range(len(fan)), 2):
             ways, between = [(i, j)], [sum(angles[i + 1 : j])]
@@ -101,7 +103,15 @@ def build_fans(mesh: Mesh) -> Fans:
                 ends.append((first + begin, first + (end if straight else begin)))
     triangles, places = (np.array(part, int).reshape(-1, 2) for part in (pairs, ends))
     longest = np.max(places[:, 1] - places[:, 0], initial=0)
-    return Fans(*(as_array(part, jnp.int32) for part in (triangles, hinges, places, longest)))
+    fans = Fans(*(as_array(part, jnp.int32) for part in (triangles, hinges, places, longest)))
+    # Meshes of other seeds then have arrays of the same sizes, and use one program.
+    return fans.padded(_rounded(width, AROUND), _rounded(len(places), max(len(places) // WAYS, 1)))
+
+
+def _rounded(size: int, step: int) -> int:
+    """Round a size up to a multiple of the largest power of 2 up to `step`."""
+    unit = 1 << (step.bit_length() - 1)
+    return -(-size // unit) * unit
 
 
 def _corner_angles(mesh: Mesh) -> Float[np.ndarray, "faces 3"]:

@@ -56,7 +56,7 @@ def test_a_picture_for_print_has_the_width_of_a_column(run, tmp_path):
     label = long.axes[1].yaxis.label
     assert "\n" in label.get_text() and "$p = 2 \\sin(\\theta_{rest} / 2)$" in label.get_text()
     box = label.get_window_extent()
-    assert 0 <= box.y0 and box.y1 <= long.bbox.y1
+    assert box.y0 >= 0 and box.y1 <= long.bbox.y1
     assert picture(run, walls=False, width=0.086, pixels=120).figure.get_size_inches()[0] == pytest.approx(
         3.386, abs=1e-3
     )

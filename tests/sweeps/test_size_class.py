@@ -1,5 +1,7 @@
 """Meshes of different seeds as lanes of one program: what is added to their arrays has no effect."""
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -85,6 +87,23 @@ def test_lanes_of_other_seeds_are_their_single_runs():
         np.testing.assert_array_equal(here.steps, run.state.counters.steps)
         np.testing.assert_allclose(here.x, run.x, rtol=0, atol=1e-9)
         assert jnp.ptp(run.x[-1, :, 2]) > 0
+
+
+@pytest.mark.parametrize("contact", [None, "inverse-power"])
+def test_seeds_share_the_program_of_factors(contact):
+    """All arrays have the same sizes, so a run of another seed compiles nothing."""
+    level = {"contact_range": 1e-3, "contact_level": 18} if contact else {}
+    scenes = [setup.scene for setup in sheets(contact=contact, **level)]
+    lean = [eqx.tree_at(lambda s: s.pattern, scene, scene.pattern.for_factors()) for scene in scenes]
+    kinds = {(str(jax.tree.map(jnp.shape, scene)), jax.tree.structure(scene)) for scene in lean}
+    assert len(kinds) == 1 < len({str(jax.tree.map(jnp.shape, scene)) for scene in scenes})
+    rng, found = np.random.default_rng(0), []
+    values, x = (
+        jnp.asarray(rng.normal(size=size)) for size in (scenes[1].pattern.nnz, 3 * scenes[1].n_nodes)
+    )
+    for scene in (scenes[1], lean[1]):
+        found.append(scene.pattern.expanded_product(scene.pattern.expand(values), x))
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-12, atol=1e-12)
 
 
 def test_sheets_of_other_sizes_are_refused():
