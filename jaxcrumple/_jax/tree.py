@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
-from jaxtyping import Array, ArrayLike, Float, Integer, Real, Shaped
+from jaxtyping import Array, ArrayLike, Float, Int, Integer, Real, Shaped
 
 from jaxcrumple._jax.arrays import Flag
 
@@ -22,6 +22,11 @@ def as_array(value: Shaped[ArrayLike, " *axes"], dtype: DTypeLike | None = None)
     if isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "biuf":
         return jax.device_put(np.asarray(value, dtype), may_alias=False)
     return jnp.asarray(value, dtype)
+
+
+def as_indices(value: Int[np.ndarray, " *axes"]) -> Int[Array, " *axes"]:
+    """Convert indices to an array of JAX of 32 bits."""
+    return as_array(value, np.int32)
 
 
 def as_float(value: Real[ArrayLike, " *axes"]) -> Float[Array, " *axes"]:

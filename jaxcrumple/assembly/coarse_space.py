@@ -4,7 +4,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxcrumple._jax.tree import as_array
+from jaxcrumple._jax.tree import as_array, as_indices
 
 # Number of functions along one direction that overlap a cell, and that overlap it or an adjacent cell.
 SUPPORT, WINDOW = 4, 6
@@ -37,9 +37,9 @@ class CoarseSpace(eqx.Module):
     def emptied(self) -> "CoarseSpace":
         """Return a space of no functions, for solvers that use none."""
         none = np.zeros((0, 0), int)
-        place = _device(np.zeros(len(self.place), int))
-        functions, window = (_device(np.zeros((0, width**2), int)) for width in (SUPPORT, WINDOW))
-        return CoarseSpace(self.cell, self.weights, _device(none), place, functions, window, 0)
+        place = as_indices(np.zeros(len(self.place), int))
+        functions, window = (as_indices(np.zeros((0, width**2), int)) for width in (SUPPORT, WINDOW))
+        return CoarseSpace(self.cell, self.weights, as_indices(none), place, functions, window, 0)
 
     def padded(self, cells: int, members: int, size: int) -> "CoarseSpace":
         """Return the space with more `cells`, `members` of a cell, and `size` functions, which stay empty."""
@@ -50,10 +50,10 @@ class CoarseSpace(eqx.Module):
         return CoarseSpace(
             self.cell,
             self.weights,
-            _device(np.pad(self.members, wide, constant_values=len(place))),
-            _device(place // most * members + place % most),
-            _device(np.pad(functions, more, constant_values=size)),
-            _device(np.pad(window, more, constant_values=size)),
+            as_indices(np.pad(self.members, wide, constant_values=len(place))),
+            as_indices(place // most * members + place % most),
+            as_indices(np.pad(functions, more, constant_values=size)),
+            as_indices(np.pad(window, more, constant_values=size)),
             size,
         )
 
@@ -79,18 +79,14 @@ def build_coarse_space(rest: Float[np.ndarray, "nodes 3"], pairs: Int[np.ndarray
     members, place = _members(owner.reshape(-1), len(occupied), len(points))
 
     return CoarseSpace(
-        _device(cell),
+        as_indices(cell),
         as_array(weights),
-        _device(members),
-        _device(place),
-        _device(_numbers(corner, 0, SUPPORT, functions_per_side)),
-        _device(_numbers(corner, -1, WINDOW, functions_per_side)),
+        as_indices(members),
+        as_indices(place),
+        as_indices(_numbers(corner, 0, SUPPORT, functions_per_side)),
+        as_indices(_numbers(corner, -1, WINDOW, functions_per_side)),
         int(np.prod(functions_per_side)),
     )
-
-
-def _device(a: Int[np.ndarray, " *axes"]) -> Int[Array, " *axes"]:
-    return as_array(a.astype(np.int32))
 
 
 def _longest_directions(rest: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, "nodes 2"]:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxcrumple._jax.memory import require, require_indices
-from jaxcrumple._jax.tree import as_array
+from jaxcrumple._jax.tree import as_array, as_indices
 from jaxcrumple.assembly.coarse_space import CoarseSpace, build_coarse_space
 from jaxcrumple.assembly.contact_blocks import ContactBlocks
 from jaxcrumple.model.elements import upper_pairs
@@ -79,11 +79,11 @@ class Pattern(eqx.Module):
         wide = np.pad(row_entries, ((0, 0), (0, 0), (0, more), (0, 0)), constant_values=entries)
         return replace(
             self,
-            indices=_device(np.append(self.indices, 0 * spare)),
-            rows=_device(np.append(self.rows, 0 * spare + 3 * n - 1)),
-            entry_places=_device(np.append(self.entry_places, own + 3 * n + spare)),
-            neighbors=_device(np.pad(self.neighbors, ((0, 0), (0, more)), mode="edge")),
-            row_entries=_device(wide.reshape(n, 3, -1)),
+            indices=as_indices(np.append(self.indices, 0 * spare)),
+            rows=as_indices(np.append(self.rows, 0 * spare + 3 * n - 1)),
+            entry_places=as_indices(np.append(self.entry_places, own + 3 * n + spare)),
+            neighbors=as_indices(np.pad(self.neighbors, ((0, 0), (0, more)), mode="edge")),
+            row_entries=as_indices(wide.reshape(n, 3, -1)),
             coarse=coarse,
         )
 
@@ -191,17 +191,13 @@ def build_pattern(
     neighbors, row_entries = _rows(n, block_row, block_col, entries)
 
     return Pattern(
-        _device(indptr), _device(indices), _device(order), _device(diagonal), _device(places),
-        _device(node_blocks),
-        tuple(_device(locate(p)) for p in pairs), tuple(as_array(p[..., 0] > p[..., 1]) for p in pairs),
-        _device(neighbors), _device(row_entries),
+        as_indices(indptr), as_indices(indices), as_indices(order), as_indices(diagonal), as_indices(places),
+        as_indices(node_blocks),
+        tuple(as_indices(locate(p)) for p in pairs), tuple(as_array(p[..., 0] > p[..., 1]) for p in pairs),
+        as_indices(neighbors), as_indices(row_entries),
         build_coarse_space(rest, np.stack([block_row, block_col], axis=1)),
-        None if faces is None else _device(locate(np.asarray(faces)[:, np.array(upper_pairs(3))])),
+        None if faces is None else as_indices(locate(np.asarray(faces)[:, np.array(upper_pairs(3))])),
     )  # fmt: skip
-
-
-def _device(a: Int[np.ndarray, " *axes"]) -> Int[Array, " *axes"]:
-    return as_array(a.astype(np.int32))
 
 
 def _check_size(n: int, block_row: Int[np.ndarray, " blocks"], block_col: Int[np.ndarray, " blocks"]) -> None:

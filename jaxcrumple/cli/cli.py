@@ -286,6 +286,8 @@ def campaign(
     frames = {} if asked.frames is None else {"frames": asked.frames}
     runs = grid(asked.scene, asked.over, asked.settings | frames, t_end=asked.end)
     limit = asked.max_seconds if limit is None else limit
+    before = sum((folder / name / "summary.json").exists() for name in runs)
+    say(f"{len(runs)} runs, {before} of them ended before; each kind of run compiles first, a minute or so")
     with noted(lambda: f"what was saved is kept in {folder}; go on with the same command"):
         table = campaign(runs, folder, cluster=scheduler, max_seconds=limit, tell=_tell_case)
     say(f"{len(table)} runs: {folder / 'campaign.csv'}")

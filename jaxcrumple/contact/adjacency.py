@@ -10,12 +10,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxcrumple._jax.arrays import Count, HingeValues, Scalar
 from jaxcrumple._jax.memory import require
-from jaxcrumple._jax.tree import as_array
+from jaxcrumple._jax.tree import as_indices
 from jaxcrumple.mesh.mesh import Mesh
 
 # Bytes of a way around a node during construction, and of a hinge in the table of all nodes.
 WAY, ENTRY = 200.0, 12.0
-# Hinges around a node and ways are rounded up to multiples of 8, and of at least a WAYS-th of all.
+# Sizes are rounded up: hinges around a node to a multiple of AROUND, ways to one of a power of 2 that is at
+# most a WAYS-th of them.
 AROUND, WAYS = 8, 16
 # Two sites on triangles that share a node come closer than half of their distance at rest only if the sheet
 # between them turns by 120 degrees: a polygon's chord is at least its length times the cosine of half its
@@ -46,9 +47,9 @@ class Fans(eqx.Module):
         ends, none = np.asarray(self.ends), np.max(self.hinges, initial=0)
         rows, places = ((0, spare), (0, 0)), ends // (width + 1) * (around + 1) + ends % (width + 1)
         return Fans(
-            as_array(np.pad(self.triangles, rows), jnp.int32),
-            as_array(np.pad(self.hinges, ((0, 0), (0, around - width)), constant_values=none), jnp.int32),
-            as_array(np.pad(places, rows), jnp.int32),
+            as_indices(np.pad(self.triangles, rows)),
+            as_indices(np.pad(self.hinges, ((0, 0), (0, around - width)), constant_values=none)),
+            as_indices(np.pad(places, rows)),
             self.longest,
         )
 
@@ -103,7 +104,7 @@ def build_fans(mesh: Mesh) -> Fans:
                 ends.append((first + begin, first + (end if straight else begin)))
     triangles, places = (np.array(part, int).reshape(-1, 2) for part in (pairs, ends))
     longest = np.max(places[:, 1] - places[:, 0], initial=0)
-    fans = Fans(*(as_array(part, jnp.int32) for part in (triangles, hinges, places, longest)))
+    fans = Fans(*map(as_indices, (triangles, hinges, places, longest)))
     # Meshes of other seeds then have arrays of the same sizes, and use one program.
     return fans.padded(_rounded(width, AROUND), _rounded(len(places), max(len(places) // WAYS, 1)))
 

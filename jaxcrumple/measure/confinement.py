@@ -13,10 +13,11 @@ from jaxcrumple.model.walls import Wall
 
 @door
 def wall_force(wall: Wall, x: NodeVectorsLike, t: float) -> float:
-    """Return the total normal force in N of the sheet on a wall.
+    """Return the sum of the magnitudes in N of the normal forces of the sheet on a wall.
 
     `wall`: a `Wall` of the scene; `x` (n, 3): positions in m; `t`: time in s. For a shrinking sphere this is
-    -dU/dR, pressure times area.
+    -dU/dR, pressure times area. A testing machine measures a component of the vector sum,
+    `-wall.force(x, t).sum(axis=0)`.
 
     **Raises:** ValueError for a wrong shape of `x`.
     """

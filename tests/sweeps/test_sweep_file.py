@@ -71,10 +71,11 @@ def test_the_command_writes_a_table_and_overwrites_none(file):
 
 def test_a_campaign_is_done_once(file, tmp_path):
     folder = tmp_path / "runs"
-    for _ in range(2):
+    for before in (0, 2):
         arguments = ["campaign", str(file), "--out", str(folder)]
         result = CliRunner().invoke(app, arguments, catch_exceptions=False)
         assert result.exit_code == 0, result.output
+        assert f"2 runs, {before} of them ended before" in " ".join(result.output.split())
     table = pd.read_csv(folder / "campaign.csv", index_col="run")
     assert list(table.index) == ["load=0.2,max_step=none", "load=0.1,max_step=none"]
     assert np.all(table["t_reached"] == 1e-4)
