@@ -5,11 +5,11 @@
 #
 # A hollow cone rises around an elastic disc that is held at its middle. The disc cannot cover the cone
 # without stretching. It touches the cone except in one sector, where it lifts off. The surface is itself a
-# cone, so its curvature falls as $1 / r$ with the distance $r$ from the tip, beyond the core that the thickness
-# rounds. The fitted exponent is -0.96; the script asserts -1 within 0.15. For a thin disc and a shallow cone
-# the sector spans 139 degrees (Cerda & Mahadevan, Proc. R. Soc. A 461, 671 (2005)). At a thickness of 1/40 of
-# the depth it spans 115 degrees here; the script asserts 139 within 30. It takes 60 CPU s on one core,
-# compiling included (2026-11-28).
+# cone, so its curvature falls as $1 / r$ with the distance $r$ from the tip, beyond the core that the
+# thickness rounds. The fitted exponent is -0.96; the script asserts -1 within 0.15. For a thin disc and a
+# shallow cone the sector spans 139 degrees (Cerda & Mahadevan, Proc. R. Soc. A 461, 671 (2005)). At a
+# thickness of 1/40 of the depth it spans 115 degrees here; the script asserts 139 within 30. It takes 60
+# CPU s on one core, compiling included (2026-11-28).
 
 # %%
 from dataclasses import replace

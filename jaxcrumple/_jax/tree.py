@@ -24,7 +24,7 @@ def as_array(value: Shaped[ArrayLike, " *axes"], dtype: DTypeLike | None = None)
     return jnp.asarray(value, dtype)
 
 
-def as_indices(value: Int[np.ndarray, " *axes"]) -> Int[Array, " *axes"]:
+def as_indices(value: Int[ArrayLike, " *axes"]) -> Int[Array, " *axes"]:
     """Convert indices to an array of JAX of 32 bits."""
     return as_array(value, np.int32)
 
