@@ -404,7 +404,7 @@ def _relax(
     bare = elastic_tangent(scene, end.point.x, state.p, state.t, PROBE_SHIFT * top, no)
     last = linear.factor(scene.sparsity, bare, end.factor)
     linear.release(last, last.negative)
-    conditions = Conditions(given_scene, given_state.p, given_state.t, SHIFT_FLOOR * top)
+    conditions = Conditions(given_scene, given_state.p, given_state.t, SHIFT_FLOOR * top, last.negative)
     x = with_derivative(conditions, end.point.x, linear)
     rested = restarted(given_scene, given_state, x, jnp.zeros_like(x))
     converged = (left <= tolerance(end)) & ~idle

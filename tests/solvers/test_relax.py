@@ -204,6 +204,7 @@ def test_inside_a_traced_function():
     np.testing.assert_allclose(inside.state.x, rested(scene).state.x, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("linear", "rests", "error"),
     [("direct", False, 2e-5), ("direct", True, 2e-5), ("two-level", True, 1e-3)],
