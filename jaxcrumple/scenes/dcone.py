@@ -50,7 +50,9 @@ def dcone(
     sheet = SheetOptions(**options)
     mesh = _around_a_node(sheet.disc(radius, nodes, seed))
     tilt = math.atan(slope)
-    reach, depth = np.linalg.norm(mesh.vertices[:, :2], axis=1).max(), -mesh.vertices[:, 2].min()
+    # The middle node lies within a node distance of the disc's centre, and within the imperfection.
+    reach = radius * (1.0 + math.sqrt(2.0 * math.pi / (math.sqrt(3.0) * nodes)))
+    depth = 2.0 * sheet.imperfection
     # In the end the middle is just outside the range of the cone, one thickness from its side.
     lowest = -(sheet.clearance + depth + reach * math.sin(tilt)) / math.cos(tilt)
     highest = -sheet.thickness / math.cos(tilt)

@@ -93,7 +93,7 @@ def test_lanes_of_other_seeds_are_their_single_runs():
 def test_seeds_share_the_program_of_factors(contact):
     """All arrays have the same sizes, so a run of another seed compiles nothing."""
     level = {"contact_range": 1e-3, "contact_level": 18} if contact else {}
-    scenes = [setup.scene for setup in sheets(contact=contact, **level)]
+    scenes = [setup.scene for setup in sheets(contact=contact, sweeps=60, **level)]
     lean = [eqx.tree_at(lambda s: s.pattern, scene, scene.pattern.for_factors()) for scene in scenes]
     kinds = {(str(jax.tree.map(jnp.shape, scene)), jax.tree.structure(scene)) for scene in lean}
     assert len(kinds) == 1 < len({str(jax.tree.map(jnp.shape, scene)) for scene in scenes})
