@@ -44,7 +44,7 @@ SMALL = {
     "thickness": {"across": 8, "pixels": 100},
 }
 # Compile for more than 20 s of CPU time.
-LONG = ("calibration", "crease_gradient")
+LONG = ("calibration", "crease_gradient", "scanned_mesh", "ridge")
 # Largest size of a picture in bytes.
 LARGEST = 100_000
 

@@ -35,7 +35,7 @@ SMALL = {
     "scenes": {"nodes": 80, "names": ["radial", "ridge"], "pixels": 60},
 }
 # Take more than 15 s of CPU time, or a minute to compile.
-LONG = ("batch", "calibrate_a_fold", "crease_statistics", "gradients_near_a_snap")
+LONG = ("batch", "calibrate_a_fold", "crease_statistics", "gradients_near_a_snap", "phase_diagram")
 # Bytes of a notebook with its outputs.
 LARGEST = 480_000
 # Paths of the machine that ran the notebook.

@@ -69,7 +69,8 @@ def test_the_same_pairs_of_triangles_are_found(pair):
     assert not np.any(found[1][1][ways:])
 
 
-def test_lanes_of_other_seeds_are_their_single_runs():
+@pytest.mark.parametrize("singles", [2, pytest.param(5, marks=pytest.mark.slow)])
+def test_lanes_of_other_seeds_are_their_single_runs(singles):
     """To rounding, in the same steps. Their coarse spaces have different sizes."""
     settings = {"nodes": 80, "sweeps": 10, "contact": None, "linear": "two-level", "rtol": 1e-2}
     assert len({SizeClass.of([setup.scene]) for setup in sheets()}) > 1
@@ -81,7 +82,7 @@ def test_lanes_of_other_seeds_are_their_single_runs():
     table = jc.sweep("radial", {"seed": SEEDS}, times, settings=settings, measure=positions, backend="batch")
     assert np.all(table.result == "success")
     solver = jc.integrator(rtol=1e-2, linear="two-level")
-    for seed, setup in zip(SEEDS, sheets(), strict=True):
+    for seed, setup in zip(range(singles), sheets(), strict=False):
         here = table.sel(seed=seed)
         run = jc.simulate(setup.scene, jc.initial_state(setup.scene, setup.x), times, solver=solver)
         np.testing.assert_array_equal(here.steps, run.state.counters.steps)
