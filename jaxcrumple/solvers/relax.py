@@ -321,11 +321,6 @@ def _stepped(
     return y, indefinite
 
 
-def _without_derivative(tree: Any) -> Any:
-    numbers, rest = eqx.partition(tree, eqx.is_inexact_array)
-    return eqx.combine(jax.lax.stop_gradient(numbers), rest)
-
-
 @eqx.filter_jit
 def _relax(
     scene: Scene,
@@ -339,7 +334,7 @@ def _relax(
     the iteration has none."""
     scene = scene if linear.one_matrix else without_matrix(scene)
     given_scene, given_state = scene, state
-    scene, state, given, shift = _without_derivative((scene, state, given, shift))
+    scene, state, given, shift = jax.lax.stop_gradient((scene, state, given, shift))
     top = _largest(scene)
 
     def own_tolerance(carry: _Carry) -> Scalar:

@@ -59,9 +59,13 @@ def wall_gap(wall: Wall, x: NodeVectors, t: Scalar) -> NodeValues:
     return wall.gap(x, t)
 
 
+def _name(index: int, wall: Wall) -> str:
+    return f"wall {index} ({type(wall.shape).__name__})"
+
+
 def _check_walls(scene: Scene, state: State) -> None:
     for index, wall in enumerate(scene.walls):
-        name = f"wall {index} ({type(wall.shape).__name__})"
+        name = _name(index, wall)
         gap = np.asarray(wall_gap(wall, state.x, state.t))
         if np.any(np.isnan(gap)):
             node = int(np.argmax(np.isnan(gap)))
@@ -88,9 +92,8 @@ def in_the_way(scene: Scene, state: State) -> str:
         node = int(np.argmin(gap))
         if gap[node] < TOUCHING * float(wall.range):
             held = scene.prescribed is not None and bool(np.any(scene.prescribed.held(state.t)[node]))
-            name = f"wall {index} ({type(wall.shape).__name__})"
             place = f"node {node}, where a support holds it" if held else f"node {node}"
-            return f"{name} comes within {gap[node]:.2g} m of {place}"
+            return f"{_name(index, wall)} comes within {gap[node]:.2g} m of {place}"
     return ""
 
 

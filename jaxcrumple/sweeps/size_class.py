@@ -28,10 +28,6 @@ class SizeClass(NamedTuple):
         """Return the least sizes that hold all scenes."""
         return cls(*map(max, zip(*map(_sizes, scenes), strict=True)))
 
-    def holds(self, scene: Scene) -> bool:
-        """Return whether the scene fits."""
-        return all(own <= size for own, size in zip(_sizes(scene), self, strict=True))
-
     def padded(self, scene: Scene) -> Scene:
         """Return the scene with arrays of these sizes, before it has lists. What is added has no effect."""
         if self == _sizes(scene):
