@@ -65,6 +65,7 @@ from .solvers.switch import Switch
 from .state import RESULTS, State, initial_state
 from .sweeps.campaign import campaign
 from .sweeps.cases import grid
+from .sweeps.ensemble import ensemble
 from .sweeps.sweep import sweep
 from .system import elastic_tangent, energies, force, mass_matrix, potential_energy, reaction, tangent
 from .viewer.page import view
@@ -133,6 +134,7 @@ __all__ = [
     "enable_compilation_cache",
     "energies",
     "energy_drop",
+    "ensemble",
     "film",
     "fit",
     "fold",

@@ -19,8 +19,9 @@ from jaxcrumple.cli.console import (
     run_program,
     say,
 )
+from jaxcrumple.cli.figures import figure
 from jaxcrumple.cli.help import explain, report
-from jaxcrumple.cli.outcome import tell_next, tell_outcome
+from jaxcrumple.cli.outcome import tell_case, tell_ensemble, tell_next, tell_outcome
 from jaxcrumple.cli.pictures import draw_run, plot, view
 
 if TYPE_CHECKING:
@@ -263,7 +264,7 @@ def sweep(
             backend=backend,  # type: ignore[arg-type]
             cluster=scheduler,
             max_seconds=asked.max_seconds if limit is None else limit,
-            tell=_tell_case,
+            tell=tell_case,
         )
     write_bytes(path, bytes(table.to_netcdf(engine="scipy")))
     say(f"{table.result.size} runs in {table.attrs['seconds']:.0f} s: {path}")
@@ -289,33 +290,24 @@ def campaign(
     before = sum((folder / name / "summary.json").exists() for name in runs)
     say(f"{len(runs)} runs, {before} of them ended before; each kind of run compiles first, a minute or so")
     with noted(lambda: f"what was saved is kept in {folder}; go on with the same command"):
-        table = campaign(runs, folder, cluster=scheduler, max_seconds=limit, tell=_tell_case)
+        table = campaign(runs, folder, cluster=scheduler, max_seconds=limit, tell=tell_case)
     say(f"{len(table)} runs: {folder / 'campaign.csv'}")
     _all_must_succeed(bool((table["result"] == "success").all()))
 
 
 @app.command()
-def figure(
-    name: Annotated[str, typer.Argument(help="Number of the paper's figure, such as 8b.")],
-    out: Annotated[
-        Path | None, typer.Option(help="Folder of runs and pictures (default: figures/NAME).")
-    ] = None,
-    full: Annotated[bool, typer.Option("--full", help="Use the paper's size instead of a laptop's.")] = False,
+def ensemble(
+    folder: Annotated[Path, typer.Argument(help="Folder of a campaign, ended or not.")],
 ) -> None:
-    """Draw a figure of the paper; first complete the runs that its folder lacks."""
-    from jaxcrumple.options.suggest import nearest
-    from jaxcrumple.paper import FIGURES, make_figure
+    """Write mean, spread and interval over the seeds of each measure of a campaign to its ensemble.csv."""
+    from jaxcrumple.sweeps.ensemble import write_ensemble
 
-    if name not in FIGURES:
-        raise ValueError(f"figure {name!r} is unknown{nearest(name, FIGURES)}")
-    folder = out or Path("figures") / (f"{name}_full" if full else name)
-    with noted(lambda: f"{folder} keeps the completed runs; go on with the same command"):
-        for path in make_figure(FIGURES[name], folder, full=full, tell=_tell_case):
-            say(str(path))
+    statistics, path = write_ensemble(folder)
+    tell_ensemble(statistics)
+    say(f"mean, standard deviation and 95 % interval of all measures: {path}")
 
 
-def _tell_case(name: str, result: str) -> None:
-    say(f"{name}: {result}")
+app.command()(figure)
 
 
 def _all_must_succeed(success: bool) -> None:

@@ -1,9 +1,12 @@
-"""Tell how a run ended, and what to do next."""
+"""Tell how runs ended, and what to do next."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jaxcrumple.cli.console import command, say
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def tell_outcome(summary: dict[str, Any]) -> None:
@@ -29,6 +32,35 @@ def tell_outcome(summary: dict[str, Any]) -> None:
         lines.append(f"{locks}, as its edges are too long to fold so tightly; give more nodes, or end before")
     for line in lines:
         say(line)
+
+
+# Measures of an ensemble that are printed, with their units.
+MEASURES = {"crease_length": " m", "energy.bending": " J", "energy.stretch": " J", "max_edge_strain": ""}
+
+
+def tell_ensemble(statistics: "pd.DataFrame") -> None:
+    """Print the numbers of runs of each ensemble, and the statistics of some measures."""
+    options = list(statistics.index.names[:-1])
+    table = statistics.reset_index()
+    for values, own in table.groupby(options, sort=False, dropna=False) if options else [((), table)]:
+        name = "".join(f"{key} = {value}, " for key, value in zip(options, values, strict=True))
+        runs, left_out = own["runs"].max(), own["left_out"].max()
+        say(f"{name}{runs} runs" + (f", {left_out} left out without success" if left_out else ""))
+        if runs < 2:
+            say("  one run or none has no spread; give more seeds")
+        for row in own[own["measure"].isin(MEASURES) & (own["runs"] > 0)].itertuples():
+            say(f"  {row.measure}: {_told(row, MEASURES[row.measure])}")
+
+
+def _told(row: Any, unit: str) -> str:
+    if row.runs < 2:
+        return f"{row.mean:.4g}{unit}"
+    return f"{row.mean:.4g}{unit}, std {row.std:.2g}, interval {row.low:.4g} to {row.high:.4g}"
+
+
+def tell_case(name: str, result: str) -> None:
+    """Print how a run of several ended."""
+    say(f"{name}: {result}")
 
 
 def tell_next(summary: dict[str, Any], folder: Path, go_on: str) -> None:

@@ -17,6 +17,7 @@ from .creases import (
 from .density import face_bending_density, face_plastic_curvature, face_stretch_density
 from .distributions import Distribution, curvature_distribution, fold_angle_distribution
 from .energy_localization import localization, participation_ratio
+from .ensembles import EnsembleGrowth, ensemble_growth
 from .facets import Facets, segment_facets
 from .fragmentation import AreaFit, area_cdf, area_density, fit_areas, maturity
 from .growth import fit_growth
@@ -31,6 +32,7 @@ __all__ = [
     "DAMAGE",
     "AreaFit",
     "Distribution",
+    "EnsembleGrowth",
     "Facets",
     "Section",
     "VolumeFraction",
@@ -46,6 +48,7 @@ __all__ = [
     "curvature_distribution",
     "damaged",
     "edge_strain",
+    "ensemble_growth",
     "face_bending_density",
     "face_plastic_curvature",
     "face_stretch_density",

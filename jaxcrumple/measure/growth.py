@@ -7,10 +7,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pandas as pd
 from jaxtyping import ArrayLike, Float, Real
-from scipy.optimize import least_squares
 
-#: Growth laws with two constants each, as functions of the cycle n, c1 and c2.
-LAWS: dict[str, Callable[[Float[np.ndarray, " cycles"], float, float], Float[np.ndarray, " cycles"]]] = {
+#: Growth laws with two constants each, as functions of the cycle n (m,) and of c1 and c2, numbers or (k, 1).
+LAWS: dict[str, Callable[..., Float[np.ndarray, "*samples cycles"]]] = {
     "logarithmic": lambda n, c1, c2: c1 * np.log1p(c2 * n),
     "linear": lambda n, c1, c2: c1 + c2 * n,
     "power": lambda n, c1, c2: c1 * n**c2,
@@ -19,6 +18,8 @@ LAWS: dict[str, Callable[[Float[np.ndarray, " cycles"], float, float], Float[np.
 _CONSTANTS = 2
 _DECADES = 6  # search range of c2 of the logarithmic law, on both sides of 1 / last cycle
 _STEEPEST = 10.0  # largest exponent of the power law
+# Grids of a search of c2, and their points: 16^-12 of the range is the resolution of float64.
+_GRIDS, _POINTS = 12, 33
 
 
 def fit_growth(
@@ -47,8 +48,8 @@ def fit_growth(
     power        1.113  0.533  0.034
     linear       0.938  0.316  0.172
     """
-    n, y = _checked(cycle, length)
-    rows = {"logarithmic": _logarithmic(n, y), "linear": _linear(n, y), "power": _power(n, y)}
+    n, y = checked_growth(cycle, length)
+    rows = {law: (float(c1[0]), float(c2[0])) for law, (c1, c2) in fit_laws(n, y[None]).items()}
     table = pd.DataFrame.from_dict(rows, orient="index", columns=["c1", "c2"])
     table.index.name = "law"
     table["rss"] = [float(np.sum((LAWS[law](n, c1, c2) - y) ** 2)) for law, (c1, c2) in rows.items()]
@@ -56,39 +57,50 @@ def fit_growth(
     return table.sort_values("rss")
 
 
-def _logarithmic(n: Float[np.ndarray, " cycles"], y: Float[np.ndarray, " cycles"]) -> tuple[float, float]:
+def fit_laws(
+    n: Float[np.ndarray, " cycles"], y: Float[np.ndarray, "samples cycles"]
+) -> dict[str, tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]]:
+    """Fit each law to each row of `y`; return c1 and c2 of all rows."""
+    return {"logarithmic": _logarithmic(n, y), "linear": _linear(n, y), "power": _power(n, y)}
+
+
+def _logarithmic(
+    n: Float[np.ndarray, " cycles"], y: Float[np.ndarray, "samples cycles"]
+) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
     limit = _DECADES * np.log(10.0)
-    c1, q = _separable(n, y, lambda q: np.log1p(np.exp(q) * n / n.max()), (-limit, limit))
-    return c1, float(np.exp(q) / n.max())
+    c1, q = _separable(y, lambda q: np.log1p(np.exp(q) * n / n.max()), (-limit, limit))
+    return c1, np.exp(q) / n.max()
 
 
-def _linear(n: Float[np.ndarray, " cycles"], y: Float[np.ndarray, " cycles"]) -> tuple[float, float]:
-    slope, start = np.polyfit(n, y, 1)
-    return float(start), float(slope)
+def _linear(
+    n: Float[np.ndarray, " cycles"], y: Float[np.ndarray, "samples cycles"]
+) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
+    slope, start = np.polyfit(n, y.T, 1)
+    return start, slope
 
 
-def _power(n: Float[np.ndarray, " cycles"], y: Float[np.ndarray, " cycles"]) -> tuple[float, float]:
-    return _separable(n, y, lambda q: n**q, (-_STEEPEST, _STEEPEST))
+def _power(
+    n: Float[np.ndarray, " cycles"], y: Float[np.ndarray, "samples cycles"]
+) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
+    return _separable(y, lambda q: n**q, (-_STEEPEST, _STEEPEST))
 
 
 def _separable(
-    n: Float[np.ndarray, " cycles"],
-    y: Float[np.ndarray, " cycles"],
-    basis: Callable[[float], Float[np.ndarray, " cycles"]],
+    y: Float[np.ndarray, "samples cycles"],
+    basis: Callable[[Float[np.ndarray, "samples points 1"]], Float[np.ndarray, "samples points cycles"]],
     bounds: tuple[float, float],
-) -> tuple[float, float]:
-    """Minimise |`c * basis(q) - y`|^2 with c eliminated (variable projection); return c and q."""
-
-    def factor(q: float) -> float:
-        return float(basis(q) @ y / (basis(q) @ basis(q)))
-
-    def residual(q: Float[np.ndarray, " 1"]) -> Float[np.ndarray, " cycles"]:
-        return (factor(q[0]) * basis(q[0]) - y) / np.linalg.norm(y)
-
-    starts = np.linspace(*bounds, 9)[1:-1]
-    fits = [least_squares(residual, [q], bounds=bounds, xtol=1e-14, ftol=1e-14, gtol=1e-14) for q in starts]
-    q = float(min(fits, key=lambda fit: fit.cost).x[0])
-    return factor(q), q
+) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
+    """Minimise |`c * basis(q) - y`|^2 for each row of `y` with c eliminated (variable projection), on grids
+    of q of which each spans two intervals of the one before; return c and q."""
+    low, high = (np.full(len(y), bound) for bound in bounds)
+    row = np.arange(len(y))
+    for _ in range(_GRIDS):
+        q = np.linspace(low, high, _POINTS, axis=-1)
+        curves = basis(q[..., None])
+        c = np.einsum("spc,sc->sp", curves, y) / np.sum(curves**2, axis=-1)
+        best = np.argmin(np.sum((c[..., None] * curves - y[:, None]) ** 2, axis=-1), axis=-1)
+        low, high = q[row, np.maximum(best - 1, 0)], q[row, np.minimum(best + 1, _POINTS - 1)]
+    return c[row, best], q[row, best]
 
 
 def _aicc(rss: float, y: Float[np.ndarray, " cycles"]) -> float:
@@ -99,9 +111,13 @@ def _aicc(rss: float, y: Float[np.ndarray, " cycles"]) -> float:
     return float(m * np.log(variance) + 2 * k + 2 * k * (k + 1) / (m - k - 1))
 
 
-def _checked(
+def checked_growth(
     cycle: Real[ArrayLike, " cycles"] | Sequence[float], length: Real[ArrayLike, " cycles"] | Sequence[float]
 ) -> tuple[Float[np.ndarray, " cycles"], Float[np.ndarray, " cycles"]]:
+    """Return cycles and lengths as arrays.
+
+    **Raises:** ValueError as `fit_growth`.
+    """
     n, y = np.asarray(cycle, dtype=np.float64), np.asarray(length, dtype=np.float64)
     if n.ndim != 1 or n.shape != y.shape:
         raise ValueError(f"cycle has shape {n.shape}, length {y.shape}; give one length for each cycle")

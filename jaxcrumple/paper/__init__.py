@@ -1,7 +1,7 @@
 """Reproduce the figures of the paper with their runs: `jaxcrumple figure NAME`."""
 
-from jaxcrumple.paper import axial, fold, four, gallery, order, radial
-from jaxcrumple.paper.base import Figure, make_figure
+from jaxcrumple.paper import axial, axial_ensemble, fold, four, gallery, order, radial
+from jaxcrumple.paper.base import Ensemble, Figure, make_ensemble, make_figure
 
 FIGURES: dict[str, Figure] = {
     "3b": fold.FIGURE,
@@ -16,4 +16,6 @@ FIGURES: dict[str, Figure] = {
     "9": axial.FIGURE,
 }
 
-__all__ = ["FIGURES", "Figure", "make_figure"]
+ENSEMBLES: dict[str, Ensemble] = {"9": axial_ensemble.ENSEMBLE}
+
+__all__ = ["ENSEMBLES", "FIGURES", "Ensemble", "Figure", "make_ensemble", "make_figure"]

@@ -21,12 +21,17 @@ NODES, CYCLES, SEEDS, FRAMES = (500, 2000), (3, 5), (1, 3), 10
 SHOWN = 3
 
 
-def _runs(full: bool) -> dict[str, RunConfig]:
+def configurations(full: bool, seeds: int) -> dict[str, RunConfig]:
+    """Return a configuration for each seed, for a laptop (False) or at full size (True)."""
     settings = {"cycles": CYCLES[full], "frames": FRAMES * CYCLES[full]}
     return {
         f"seed{seed}": configure("axial", nodes=NODES[full], seed=seed, settings=settings)
-        for seed in range(SEEDS[full])
+        for seed in range(seeds)
     }
+
+
+def _runs(full: bool) -> dict[str, RunConfig]:
+    return configurations(full, SEEDS[full])
 
 
 def cycle_frames(run: Run) -> list[int]:

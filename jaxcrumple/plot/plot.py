@@ -6,7 +6,8 @@ Every function writes one picture to `path` and returns `path`; its extension se
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -184,13 +185,20 @@ def plot_run(folder: str | Path) -> list[Path]:
 def about(*runs: Run, t: float | None = None) -> str:
     """Describe scene, size, seed, tolerance and time in s of a run, or of several that differ in their seeds,
     as far as their configurations contain them."""
-    first, seeds = runs[0], [str(run.config["seed"]) for run in runs if "seed" in run.config]
+    first, seeds = runs[0], [run.config["seed"] for run in runs if "seed" in run.config]
     config, solver = first.config, first.config.get("solver", {})
     words = [config["scene"]] if "scene" in config else []
     words.append(f"n = {first.mesh.n_nodes}")
-    words += [f"seed{'s' if len(seeds) > 1 else ''} {' '.join(seeds)}"] if seeds else []
+    words += [f"seed{'s' if len(seeds) > 1 else ''} {' '.join(spans(seeds))}"] if seeds else []
     words += [f"rtol {solver['rtol']:g}"] if "rtol" in solver else []
     return ", ".join(words + ([] if t is None else [f"t = {t:.4g} s"]))
+
+
+def spans(seeds: Sequence[int]) -> Iterator[str]:
+    """Yield numbers as text; three or more in succession as one, such as "4-7"."""
+    for _, found in itertools.groupby(enumerate(seeds), lambda pair: pair[1] - pair[0]):
+        numbers = [str(number) for _, number in found]
+        yield from numbers if len(numbers) < 3 else [f"{numbers[0]}-{numbers[-1]}"]
 
 
 # Parts

@@ -27,8 +27,8 @@ from jaxcrumple.sweeps.table import Tell
 TABLE = "campaign.csv"
 # Longest name of a folder in bytes. The folder of the campaign also holds a table and the locks.
 LONGEST = 255
-# The result of a run that used up its wall time.
-BUDGET = "budget"
+# The result of a run that used up its wall time, and what stands for the summary of one that goes on.
+BUDGET, UNFINISHED = "budget", {"result": "unfinished"}
 
 
 def campaign(
@@ -50,8 +50,8 @@ def campaign(
     which it ends with the result "budget"; a repeated call resumes it; `tell`: called with name and result of
     each run as it ends.
 
-    **Returns:** a table with one row for each run: the options in which runs differ, such as thickness, and
-    the numbers of its `summary.json`, such as crease_length and energy.bending. The file `campaign.csv`
+    **Returns:** a table with one row for each run: the options in which runs differ, such as thickness, then
+    from result on its `summary.json`, such as crease_length and energy.bending. The file `campaign.csv`
     also has the runs of earlier campaigns in the folder, and is written even if this call is interrupted.
 
     **Raises:** ValueError, before any run starts, for a name that no folder can have, a folder that holds
@@ -60,7 +60,7 @@ def campaign(
     """
     require_limit("max_seconds", max_seconds)
     place = Path(folder).absolute()
-    _check_runs(runs, place)
+    check_runs(runs, place)
     summaries = {name: _ended(place / name) for name in runs}
     for name, summary in summaries.items():
         if summary:
@@ -80,6 +80,20 @@ def campaign(
     return _table(runs, summaries)
 
 
+def read_campaign(folder: str | Path) -> pd.DataFrame:
+    """Return the table of all runs in a folder as they are now, started by a campaign or one by one.
+
+    A run that has not ended has the result "unfinished".
+
+    **Raises:** ValueError for a folder without runs, `RunDirectoryError` for a damaged run.
+    """
+    folders = {path.name: path for path in sorted(Path(folder).glob("*")) if is_run(path)}
+    if not folders:
+        raise ConfigError(f"{folder} has no folders of runs; give the folder of a campaign.")
+    stored = {name: stored_config(RunDirectory.open(path)) for name, path in folders.items()}
+    return _table(stored, {name: _summary(path) or UNFINISHED for name, path in folders.items()})
+
+
 def _write_table(
     runs: Mapping[str, RunConfig], summaries: Mapping[str, Mapping[str, Any]], place: Path
 ) -> None:
@@ -93,17 +107,24 @@ def _write_table(
 
 
 def _table(runs: Mapping[str, RunConfig], summaries: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
-    """Return a table with one row for each run: the options in which runs differ, then its summary."""
+    """Return a table with one row for each run: the options in which runs differ, then its summary from
+    `result` on."""
     index = pd.Index(list(summaries), name="run")
     rows = pd.json_normalize(list(summaries.values())).set_index(index)
     options = pd.DataFrame([_flat(runs[name]) for name in summaries], index=index)
     differ = options.astype(str).nunique() > 1
     varied = options.loc[:, differ].rename(columns=lambda name: name.rpartition(".")[2])
-    return varied[varied.columns.difference(rows.columns, sort=False)].join(rows)
+    # The summary of a run that raised an exception has no options.
+    both = varied.columns.intersection(rows.columns)
+    varied[both] = rows[both].where(rows[both].notna(), varied[both])
+    return varied.join(rows[["result", *rows.columns.difference(["result", *both], sort=False)]])
 
 
-def _check_runs(runs: Mapping[str, RunConfig], place: Path) -> None:
-    """Check the runs of a campaign and create its folder."""
+def check_runs(runs: Mapping[str, RunConfig], place: Path) -> None:
+    """Check the runs of a campaign and create its folder.
+
+    **Raises:** as `campaign`.
+    """
     if not isinstance(runs, Mapping) or not runs:
         raise ConfigError("runs must be configurations by name, such as jaxcrumple.grid(...) returns.")
     for name, config in runs.items():
