@@ -51,7 +51,7 @@ def ensemble(runs: pd.DataFrame | str | Path, *, confidence: float = 0.95) -> pd
     check_confidence(confidence)
     table = runs if isinstance(runs, pd.DataFrame) else read_campaign(runs)
     options = _options(table)
-    measures = [name for name in table.columns[list(table.columns).index("result") :] if name not in OPTIONS]
+    measures = _measures(table)
     parts = [
         _statistics(group, measures, confidence).assign(**dict(zip(options, values, strict=True)))
         for values, group in _groups(table, options)
@@ -80,13 +80,19 @@ def _options(table: pd.DataFrame) -> list[str]:
     return [name for name in left if name not in ("run", "seed")]
 
 
+def _measures(table: pd.DataFrame) -> list[str]:
+    """Return the columns with a number or a truth value of a run that succeeded."""
+    right = [name for name in table.columns[list(table.columns).index("result") :] if name not in OPTIONS]
+    good = table.loc[table["result"] == "success", right].dropna(axis="columns", how="all")
+    return list(good.infer_objects().select_dtypes(["number", "bool"]))
+
+
 def _groups(table: pd.DataFrame, options: list[str]) -> Iterator[tuple[tuple[Any, ...], pd.DataFrame]]:
     """Yield the values of the options of each ensemble, and its rows.
 
     **Raises:** ValueError for two runs of one seed.
     """
-    # Lists have no hash, and None is missing: both become words.
-    keys = [values.astype(str) if values.dtype == object else values for values in map(table.get, options)]
+    keys = [_key(table[name]) for name in options]
     for values, group in table.groupby(keys, sort=False, dropna=False) if keys else [((), table)]:
         if "seed" in group and group["seed"].duplicated().any():
             seed = group["seed"][group["seed"].duplicated()].iloc[0]
@@ -98,13 +104,19 @@ def _groups(table: pd.DataFrame, options: list[str]) -> Iterator[tuple[tuple[Any
         yield values, group
 
 
+def _key(values: pd.Series) -> pd.Series:
+    """Return values of an option that can be compared: numbers, or all as words."""
+    if pd.api.types.is_numeric_dtype(values):
+        return values
+    return values.astype(object).where(values.notna(), "none").astype(str)
+
+
 def _statistics(group: pd.DataFrame, measures: list[str], confidence: float) -> pd.DataFrame:
-    """Return a row of statistics for each numeric measure of an ensemble."""
-    good = group.loc[group["result"] == "success", measures].infer_objects()
-    numeric = good.select_dtypes(["number", "bool"]).astype(float)
-    rows = [_row(values.dropna().to_numpy(), confidence) for _, values in numeric.items()]
+    """Return a row of statistics for each measure of an ensemble."""
+    good = group.loc[group["result"] == "success", measures].astype(float)
+    rows = [_row(good[name].dropna().to_numpy(), confidence) for name in measures]
     statistics = pd.DataFrame(rows, columns=["mean", "std", "low", "high", "runs"])
-    return statistics.assign(left_out=len(group) - len(good), measure=numeric.columns)
+    return statistics.assign(left_out=len(group) - len(good), measure=measures)
 
 
 def _row(values: Float[np.ndarray, " runs"], confidence: float) -> tuple[float, float, float, float, int]:
