@@ -48,8 +48,10 @@ def tell_ensemble(statistics: "pd.DataFrame") -> None:
         say(f"{name}{runs} runs" + (f", {left_out} left out without success" if left_out else ""))
         if runs < 2:
             say("  one run or none has no spread; give more seeds")
-        for row in own[own["measure"].isin(MEASURES) & (own["runs"] > 0)].itertuples():
-            say(f"  {row.measure}: {_told(row, MEASURES[row.measure])}")
+        rows = {row.measure: row for row in own.itertuples() if row.runs}
+        for measure, unit in MEASURES.items():
+            if measure in rows:
+                say(f"  {measure}: {_told(rows[measure], unit)}")
 
 
 def _told(row: Any, unit: str) -> str:
