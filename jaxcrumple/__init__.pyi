@@ -65,6 +65,7 @@ from .solvers.switch import Switch
 from .state import RESULTS, State, initial_state
 from .sweeps.campaign import campaign
 from .sweeps.cases import grid
+from .sweeps.sheets import simulate_batch
 from .sweeps.sweep import sweep
 from .system import elastic_tangent, energies, force, mass_matrix, potential_energy, reaction, tangent
 from .viewer.page import view
@@ -168,6 +169,7 @@ __all__ = [
     "sheet",
     "shell",
     "simulate",
+    "simulate_batch",
     "stamping",
     "start_run",
     "sweep",

@@ -73,7 +73,7 @@ def require_lanes(lanes: object) -> None:
 @dataclass
 class _Lane:
     """One member while it runs: its `kind`, the frames it has `reached`, the attempts made before, `rows` not
-    told yet, wall time in s and its share of it, and calls without an attempt."""
+    told yet, wall time in s of its calls, and calls without an attempt."""
 
     member: Member
     start: Start
@@ -83,7 +83,6 @@ class _Lane:
     rows: list[Float[np.ndarray, "_ columns"]] = field(default_factory=list)
     told: float = field(default_factory=time.perf_counter)
     wall: float = 0.0
-    share: float = 0.0
     waits: int = 0
 
     @property
@@ -261,7 +260,7 @@ class _Batch:
             if lane.start.recorder is not None:
                 lane.start.recorder.extend(jax.device_get(lane_of(log.trail, index)))
             lane.wall += seconds
-            lane.share += seconds * float(steps[index]) / max(1.0, float(steps.sum()))
+            lane.member.spend(seconds * float(steps[index]) / max(1.0, float(steps.sum())))
             lane.waits = 0 if steps[index] else lane.waits + 1
 
     def _follow(self, index: int, lane: _Lane) -> None:
@@ -279,7 +278,7 @@ class _Batch:
             if ended:
                 self.seats[index] = None
                 final = eqx.tree_at(lambda s: s.result, state, getattr(RESULTS, result))
-                lane.member.end(jax.device_get(final), result, lane.share)
+                lane.member.end(jax.device_get(final), result)
         except Exception as error:
             self.seats[index] = None
             lane.member.fail(error)

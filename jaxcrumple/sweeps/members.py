@@ -40,8 +40,11 @@ class Member(Protocol):
     def begin(self) -> Start | None:
         """Build or read what the lane begins with; None if there is nothing to do."""
 
-    def end(self, state: State, result: str, seconds: float) -> None:
-        """Receive the last `state`, the name of the result, and the lane's share of the wall time in s."""
+    def spend(self, seconds: float) -> None:
+        """Receive the member's share of the wall time of a call, in s."""
+
+    def end(self, state: State, result: str) -> None:
+        """Receive the last `state` and the name of the result."""
 
     def pause(self) -> None:
         """Give back what `begin` took: the member waits, and begins again, or the batch was interrupted."""

@@ -18,7 +18,7 @@ from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import initial_state
 from jaxcrumple.sweeps.batch import LANES, require_lanes
 from jaxcrumple.sweeps.case_members import run_cases
-from jaxcrumple.sweeps.cases import Case, Grid, Limits, Scenes, cases_of, checked_grid
+from jaxcrumple.sweeps.cases import Case, Grid, Limits, Scenes, Seeds, cases_of, checked_grid
 from jaxcrumple.sweeps.cluster import Cluster, local_workers
 from jaxcrumple.sweeps.processes import run_processes
 from jaxcrumple.sweeps.table import Measure, Tell, check_names, measured, standard_measure, table
@@ -33,6 +33,7 @@ def sweep(
     times: Times,
     *,
     settings: Mapping[str, Any] | None = None,
+    seeds: Seeds = None,
     solver: Integrator | None = None,
     measure: Measure = standard_measure,
     backend: Backend = "auto",
@@ -52,6 +53,7 @@ def sweep(
       solver, `nodes` and `seed`.
     - `times`: increasing times in s at which to measure, or only the end time.
     - `settings`: common values of all cases, by name as in `over`.
+    - `seeds`: number of seeds of the random meshes, from 0 on, or a list of them, as a last name of `over`.
     - `solver`: integrator for a scene that is a function, by default `integrator()`.
     - `measure`: function of the case's `Setup` and a `State`; it returns by name numbers, pairs of dimensions
       and array, or DataArrays. By default: energies, crease length, strains and contacts. `sweep` tests it on
@@ -87,7 +89,7 @@ def sweep(
     stops = checked_times(times)
     linear = "two-level" if backend == "batch" else "auto"
     settings = {} if settings is None else settings
-    grid = checked_grid(over, settings)
+    grid = checked_grid(over, settings, seeds)
     cases = cases_of(scene, grid, settings, float(stops[-1]), solver, linear)
     first = _try(cases[0], grid, measure)
     start = time.perf_counter()
