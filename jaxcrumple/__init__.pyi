@@ -7,6 +7,7 @@ from .calibrate.fit import Fit, Parameter, fit
 from .calibrate.fold import calibrate_fold
 from .calibrate.pattern import calibrate_pattern
 from .contact.parameters import SelfContact
+from .dataset.export import export_dataset
 from .io import CheckpointError, Run, RunDirectoryError, load
 from .material.material import Material
 from .material.presets import PRESETS, preset
@@ -134,6 +135,7 @@ __all__ = [
     "enable_compilation_cache",
     "energies",
     "energy_drop",
+    "export_dataset",
     "film",
     "fit",
     "fold",

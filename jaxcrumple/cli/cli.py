@@ -19,6 +19,7 @@ from jaxcrumple.cli.console import (
     run_program,
     say,
 )
+from jaxcrumple.cli.dataset import dataset
 from jaxcrumple.cli.help import explain, report
 from jaxcrumple.cli.outcome import tell_next, tell_outcome
 from jaxcrumple.cli.pictures import draw_run, plot, view
@@ -368,7 +369,7 @@ def _print_options(model: "type[BaseModel]") -> None:
     console.print(f"  {model.__doc__}\n    {options}", markup=False)
 
 
-for other in (plot, view, explain, report):
+for other in (dataset, plot, view, explain, report):
     app.command()(other)
 
 
