@@ -37,6 +37,7 @@ from .plot.picture import picture
 from .plot.polydata import polydata
 from .replays.record import Record
 from .replays.replay import Replay, replay
+from .replays.stack import stack_records
 from .run.config import configure
 from .run.run import resume_run, start_run
 from .run.scene_file import read_scene_file, write_scene_file
@@ -168,6 +169,7 @@ __all__ = [
     "sheet",
     "shell",
     "simulate",
+    "stack_records",
     "stamping",
     "start_run",
     "sweep",
