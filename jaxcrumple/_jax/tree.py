@@ -130,7 +130,7 @@ def select(keep: Flag, new: Any, old: Any) -> Any:
 
 
 def size_difference(one: Any, other: Any) -> str:
-    """Describe the first array whose size differs between two dictionaries of trees; return "" if none does."""
+    """Describe the first array whose size differs between two dictionaries of trees; "" if none does."""
     sizes = [
         {path: np.shape(leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(tree)}
         for tree in (one, other)

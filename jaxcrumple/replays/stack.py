@@ -27,9 +27,10 @@ def stack_records(records: Sequence[Record]) -> Record:
     shorter contact lists or fewer stages are padded; the replay of a lane is that of its own record. In the
     function of one lane, build the scene from `record.scene`: it is the scene of that lane.
 
-    On a CPU `jax.lax.map` is faster. Under `jax.vmap` every lane computes as many steps as the longest run,
-    and each step in every kind, implicit or explicit, that occurs in the batch. Use `equinox.filter_vmap` for
-    scenes that contain functions, such as the radius of a sphere as a function of time.
+    Differentiate inside `jax.vmap`, as the example does: JAX cannot transpose a replay that is already
+    batched. On a CPU `jax.lax.map` is faster. Under `jax.vmap` every lane computes as many steps as the
+    longest run, and each step in every kind, implicit or explicit, that occurs in the batch. Use
+    `equinox.filter_vmap` for scenes that contain functions, such as the radius of a sphere over time.
 
     **Arguments:** `records`: of `simulate(..., record=True)`, of scenes with equal array sizes and terms, by
     the same scheme, with equal numbers of frames.
@@ -139,7 +140,7 @@ def _check_record(index: int, record: Any) -> None:
     if not is_known(record):
         raise ValueError("stack_records needs records on the host: call it outside jit, grad and vmap.")
     if record.t.ndim != 1:
-        raise ValueError(f"record {index} is a stack of {len(record.t)} records; give the records themselves.")
+        raise ValueError(f"record {index} is a stack of {len(record.t)}; give the records one by one.")
     if record.linear is not None and record.linear.one_matrix:
         raise ValueError(
             f"record {index} is of a run with the direct solver, which handles one sheet at a time; run with "
