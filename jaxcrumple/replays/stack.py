@@ -12,7 +12,7 @@ from jaxcrumple._jax.door import door
 from jaxcrumple._jax.tree import as_array, is_known, shown, size_difference
 from jaxcrumple.contact.lists import Capacity
 from jaxcrumple.replays.contacts import StretchLists
-from jaxcrumple.replays.record import Record, Steps
+from jaxcrumple.replays.record import Record
 
 # A batch has 1 to 2**SIZES stretches of steps, or one of 2**(SIZES - 1) numbers in each octave above. A finer
 # scale needs more programs, a coarser one computes more steps that no lane uses.
@@ -97,15 +97,11 @@ def _padded(record: Record, sizes: _Sizes) -> Record:
     """
     stretches = len(record.steps.valid)
     rows = np.minimum(np.arange(sizes.stretches), stretches - 1)
-    steps, lists = jax.tree.map(lambda a: np.asarray(a)[rows], (record.steps, record.lists))
-    valid = steps.valid & (np.arange(sizes.stretches) < stretches)[:, None]
+    steps, lists = jax.tree.map(lambda a: as_array(np.asarray(a)[rows]), (record.steps, record.lists))
+    valid = np.asarray(steps.valid) & (np.arange(sizes.stretches) < stretches)[:, None]
     frame = np.where(valid, steps.frame, len(record.t))
-    steps = eqx.tree_at(lambda s: (s.valid, s.frame), steps, (valid, frame))
-    return replace(record, steps=_on_device(steps), lists=_longer(lists, sizes), stages=sizes.stages)
-
-
-def _on_device(steps: Steps) -> Steps:
-    return jax.tree.map(as_array, steps)
+    steps = replace(steps, valid=as_array(valid), frame=as_array(frame))
+    return replace(record, steps=steps, lists=_longer(lists, sizes), stages=sizes.stages)
 
 
 def _longer(lists: StretchLists | None, sizes: _Sizes) -> StretchLists | None:
@@ -114,8 +110,7 @@ def _longer(lists: StretchLists | None, sizes: _Sizes) -> StretchLists | None:
         return None
     more = sizes.triangles - lists.triangles.shape[1]
     triangles = np.pad(lists.triangles, ((0, 0), (0, more), (0, 0)))
-    arrays = map(as_array, (triangles, lists.count, lists.folded))
-    return StretchLists(*arrays, matrix=None, capacity=sizes.capacity)
+    return replace(lists, triangles=as_array(triangles), capacity=sizes.capacity)
 
 
 def _check_records(records: Any) -> None:
