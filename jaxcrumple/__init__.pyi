@@ -7,6 +7,7 @@ from .calibrate.fit import Fit, Parameter, fit
 from .calibrate.fold import calibrate_fold
 from .calibrate.pattern import calibrate_pattern
 from .contact.parameters import SelfContact
+from .dataset.export import export_dataset
 from .io import CheckpointError, Run, RunDirectoryError, load
 from .material.material import Material
 from .material.presets import PRESETS, preset
@@ -66,6 +67,7 @@ from .solvers.switch import Switch
 from .state import RESULTS, State, initial_state
 from .sweeps.campaign import campaign
 from .sweeps.cases import grid
+from .sweeps.sheets import simulate_batch
 from .sweeps.sweep import sweep
 from .system import elastic_tangent, energies, force, mass_matrix, potential_energy, reaction, tangent
 from .viewer.page import view
@@ -134,6 +136,7 @@ __all__ = [
     "enable_compilation_cache",
     "energies",
     "energy_drop",
+    "export_dataset",
     "film",
     "fit",
     "fold",
@@ -169,6 +172,7 @@ __all__ = [
     "sheet",
     "shell",
     "simulate",
+    "simulate_batch",
     "stack_records",
     "stamping",
     "start_run",

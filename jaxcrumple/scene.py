@@ -10,6 +10,7 @@ from jaxtyping import ArrayLike, Real
 
 from jaxcrumple._jax.arrays import HingeValues, NodeValues, Scalar
 from jaxcrumple._jax.door import door, own_modes
+from jaxcrumple._jax.shared import kept_with_first
 from jaxcrumple._jax.tree import as_array, is_known, require_finite, require_numbers, shown
 from jaxcrumple.assembly.contact_blocks import ContactBlocks
 from jaxcrumple.assembly.sparsity import Pattern, build_pattern
@@ -218,11 +219,7 @@ def sheet(
     if plasticity is None and constants.c0 is not None:
         c0 = as_array(constants.c0)
         plasticity = SmoothstepFlow(c0, as_array(constants.plastic_time), as_array(constants.gamma))
-    if like is None:
-        stencils = [mesh.edges, mesh.hinges, *(np.asarray(e.nodes) for e in extra)]
-        pattern = build_pattern(mesh.vertices, stencils, None if contact is None else mesh.faces)
-    else:
-        pattern = like.pattern
+    pattern = _pattern(mesh, extra, contact is not None) if like is None else like.pattern
     return Scene(
         mass=mass,
         area=as_array(mesh.area),
@@ -245,6 +242,18 @@ def sheet(
         pattern=pattern,
         lists=None if like is None else like.lists,
     )
+
+
+def _pattern(mesh: Mesh, extra: Sequence[ElementEnergy], contact: bool) -> Pattern:
+    if not extra:
+        return _pattern_of_mesh(mesh, contact)
+    stencils = [mesh.edges, mesh.hinges, *(np.asarray(term.nodes) for term in extra)]
+    return build_pattern(mesh.vertices, stencils, mesh.faces if contact else None)
+
+
+@kept_with_first
+def _pattern_of_mesh(mesh: Mesh, contact: bool) -> Pattern:
+    return build_pattern(mesh.vertices, [mesh.edges, mesh.hinges], mesh.faces if contact else None)
 
 
 def _contact(

@@ -95,7 +95,9 @@ class Solution:
 
 
 @dataclass
-class _Kept:
+class Kept:
+    """An observer that keeps all frames and rows of a run."""
+
     t: list[float] = field(default_factory=list)
     x: list[Float[np.ndarray, "nodes 3"]] = field(default_factory=list)
     v: list[Float[np.ndarray, "nodes 3"]] = field(default_factory=list)
@@ -104,6 +106,7 @@ class _Kept:
     events: list[pd.DataFrame] = field(default_factory=list)
 
     def frame(self, index: int, state: State) -> None:
+        """Keep a frame."""
         self.t.append(float(state.t))
         self.x.append(np.asarray(state.x))
         self.v.append(np.asarray(state.v))
@@ -111,6 +114,7 @@ class _Kept:
             self.p.append(np.asarray(state.p))
 
     def chunk(self, state: State, history: pd.DataFrame, events: pd.DataFrame, frames: int) -> None:
+        """Keep rows."""
         self.history.append(history)
         self.events.append(events)
 
@@ -168,7 +172,7 @@ def simulate(
     solver = integrator() if solver is None else checked_solver(solver)
     require_limit("max_attempts", max_attempts)
     require_limit("max_seconds", max_seconds)
-    kept, recorder = _Kept(), None
+    kept, recorder = Kept(), None
     if record:
         recorder = StepRecorder(state, solver)
         solver = recorder.solver(solver)
@@ -202,7 +206,7 @@ def simulate(
                 state = eqx.tree_at(lambda s: s.result, state, RESULTS.intersected)
                 break
         run_s = time.perf_counter() - start
-    solution = _solution(scene, state, kept, compile_s, run_s)
+    solution = solution_of(scene, state, kept, compile_s, run_s)
     if recorder is not None:
         solution.record = recorder.finished(scene, solver)
     if throw and solution.result != "success":
@@ -347,15 +351,21 @@ def _name(state: State) -> str:
     raise AssertionError("unknown result")
 
 
-def _solution(scene: Scene, state: State, kept: _Kept, compile_s: float, run_s: float) -> Solution:
-    name = _name(state)
-    shape = state.x.shape
+def message_of(scene: Scene, state: State, name: str) -> str:
+    """Return the meaning of the result `name` of a run that ended in a state."""
     message: str = RESULTS[getattr(RESULTS, name)]  # type: ignore[misc]
     place = in_the_way(scene, state) if name == "blocked" else ""
+    return f"{message}. Here {place}" if place else message
+
+
+def solution_of(scene: Scene, state: State, kept: Kept, compile_s: float, run_s: float) -> Solution:
+    """Return the solution of a run that ended in a state, with all that was kept of it."""
+    name = _name(state)
+    shape = state.x.shape
     return Solution(
         state=state,
         result=name,
-        message=f"{message}. Here {place}" if place else message,
+        message=message_of(scene, state, name),
         t=np.array(kept.t),
         x=np.array(kept.x).reshape(-1, *shape),
         v=np.array(kept.v).reshape(-1, *shape),

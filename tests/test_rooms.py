@@ -16,7 +16,7 @@ PACKAGE = Path(jaxcrumple.__file__).parent
 ROOMS = (
     "_jax", "options", "geometry", "mesh", "material", "model", "contact", "assembly", "scene", "history",
     "state", "system", "solvers", "replays", "observers", "simulation", "measure", "io", "scenes",
-    "calibrate", "run", "sweeps", "plot", "viewer", "paper", "cli",
+    "calibrate", "run", "sweeps", "dataset", "plot", "viewer", "paper", "cli",
 )  # fmt: skip
 
 

@@ -51,6 +51,13 @@ class _Array(NamedTuple):
     weak: bool
 
 
+class _Other(NamedTuple):
+    """Hold an argument that is not an array."""
+
+    type: type
+    value: Any
+
+
 class _Program(NamedTuple):
     """Hold a `compiled` program of the arrays in its arguments, and its result: a tree of places in its
     outputs, and a tree of what is not an array."""
@@ -167,16 +174,33 @@ def _name(function: Callable[..., Any], args: Any) -> str | None:
     None: for traced arguments, parts of other packages, or arrays on several devices."""
     if not is_known(args) or not _is_of_package(function.__module__):
         return None
-    usual = {jax.devices()[0]}
-    if any(isinstance(leaf, jax.Array) and leaf.devices() != usual for leaf in jax.tree.leaves(args)):
+    usual, (leaves, tree) = {jax.devices()[0]}, jax.tree.flatten(args)
+    if any(isinstance(leaf, jax.Array) and leaf.devices() != usual for leaf in leaves):
         return None
-    described = jax.tree.map(lambda leaf: _described(leaf) if eqx.is_array(leaf) else leaf, args)
-    text = io.BytesIO()
+    # The types tell 1 from 1.0 and True, which are equal.
+    described = tuple(_described(leaf) if eqx.is_array(leaf) else _Other(type(leaf), leaf) for leaf in leaves)
+    arguments = function, tree, described, _surroundings() + repr(list(_settings())).encode()
     try:
-        _Pickler(text).dump((function.__module__, function.__qualname__, described))
+        return _digest(*arguments)
+    except TypeError:
+        # A part of the arguments has no hash.
+        return _digest.__wrapped__(*arguments)
+
+
+@functools.lru_cache(maxsize=KEPT)
+def _digest(
+    function: Callable[..., Any], tree: jax.tree_util.PyTreeDef, described: tuple[Any, ...], around: bytes
+) -> str | None:
+    """Return the name of a program with what is `around` it; None if the code of an argument may change
+    unnoticed."""
+    text = io.BytesIO()
+    leaves = [leaf.value if isinstance(leaf, _Other) else leaf for leaf in described]
+    try:
+        known = function.__module__, function.__qualname__, jax.tree.unflatten(tree, leaves)
+        _Pickler(text).dump(known)
     except (pickle.PicklingError, TypeError, AttributeError, ValueError, RecursionError):
         return None
-    return hashlib.sha256(_surroundings() + repr(list(_settings())).encode() + text.getvalue()).hexdigest()
+    return hashlib.sha256(around + text.getvalue()).hexdigest()
 
 
 def _is_of_package(module: str) -> bool:

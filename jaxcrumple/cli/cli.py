@@ -19,6 +19,7 @@ from jaxcrumple.cli.console import (
     run_program,
     say,
 )
+from jaxcrumple.cli.dataset import dataset
 from jaxcrumple.cli.help import explain, report
 from jaxcrumple.cli.outcome import tell_next, tell_outcome
 from jaxcrumple.cli.pictures import draw_run, plot, view
@@ -232,6 +233,9 @@ SweepPath = Annotated[
 SchedulerAddress = Annotated[
     str | None, typer.Option(help="Address of a Dask scheduler (default: workers on this machine).")
 ]
+Lanes = Annotated[
+    int | None, typer.Option(min=1, help="Cases side by side in one program, for GPUs; others wait.")
+]
 
 
 @app.command()
@@ -240,11 +244,13 @@ def sweep(
     out: Annotated[Path | None, typer.Option(help="New netCDF file (default: FILE with .nc).")] = None,
     backend: Annotated[str, typer.Option(help="auto, batch or processes.")] = "auto",
     scheduler: SchedulerAddress = None,
+    lanes: Lanes = None,
     max_seconds: Limit = None,
 ) -> None:
     """Run a scene over a grid of option values, and write all results to one netCDF file."""
     from jaxcrumple.io.atomic import write_bytes
     from jaxcrumple.simulation import frame_times
+    from jaxcrumple.sweeps.batch import LANES
     from jaxcrumple.sweeps.file import read_sweep
     from jaxcrumple.sweeps.sweep import sweep
 
@@ -262,6 +268,7 @@ def sweep(
             settings=asked.settings,
             backend=backend,  # type: ignore[arg-type]
             cluster=scheduler,
+            lanes=LANES if lanes is None else lanes,
             max_seconds=asked.max_seconds if limit is None else limit,
             tell=_tell_case,
         )
@@ -275,6 +282,7 @@ def campaign(
     file: SweepPath,
     out: Annotated[Path | None, typer.Option(help="Folder of all runs (default: runs/FILE).")] = None,
     scheduler: SchedulerAddress = None,
+    lanes: Lanes = None,
     max_seconds: Limit = None,
 ) -> None:
     """Run a scene over a grid, one resumable run folder per case; run again to complete the missing ones."""
@@ -289,7 +297,9 @@ def campaign(
     before = sum((folder / name / "summary.json").exists() for name in runs)
     say(f"{len(runs)} runs, {before} of them ended before; each kind of run compiles first, a minute or so")
     with noted(lambda: f"what was saved is kept in {folder}; go on with the same command"):
-        table = campaign(runs, folder, cluster=scheduler, max_seconds=limit, tell=_tell_case)
+        table = campaign(
+            runs, folder, cluster=scheduler, lanes=lanes or 1, max_seconds=limit, tell=_tell_case
+        )
     say(f"{len(table)} runs: {folder / 'campaign.csv'}")
     _all_must_succeed(bool((table["result"] == "success").all()))
 
@@ -359,7 +369,7 @@ def _print_options(model: "type[BaseModel]") -> None:
     console.print(f"  {model.__doc__}\n    {options}", markup=False)
 
 
-for other in (plot, view, explain, report):
+for other in (dataset, plot, view, explain, report):
     app.command()(other)
 
 

@@ -64,7 +64,7 @@ def draw_run(folder: Path) -> list[Path]:
 
 def _all(folder: Path) -> list[Path]:
     from jaxcrumple.io import RunDirectory
-    from jaxcrumple.run.run import film
+    from jaxcrumple.run.begun import film
 
     pictures, frames = draw_run(folder), film(RunDirectory.open(folder))
     return pictures if frames is None else [*pictures, frames]

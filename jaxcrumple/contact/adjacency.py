@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxcrumple._jax.arrays import Count, HingeValues, Scalar
 from jaxcrumple._jax.memory import require
+from jaxcrumple._jax.shared import kept_with_first
 from jaxcrumple._jax.tree import as_indices
 from jaxcrumple.mesh.mesh import Mesh
 
@@ -68,6 +69,7 @@ def largest_turn(turning: Float[Array, " ways"], left_out: Bool[Array, " ways"])
     return jnp.max(jnp.where(left_out, 0.0, turning), initial=0.0)
 
 
+@kept_with_first
 def build_fans(mesh: Mesh) -> Fans:
     """Build all ways around every node.
 

@@ -31,8 +31,8 @@ class Search:
         self.rest = np.asarray(contact.rest)
         self.fan_triangles = np.asarray(contact.fans.triangles)
         self.fans = contact.fans
-        pairs = np.unique(self.fan_triangles, axis=0)
-        self.sharing = pairs[:, 0].astype(np.int64) * len(self.faces) + pairs[:, 1]
+        keys = self.fan_triangles[:, 0].astype(np.int64) * len(self.faces) + self.fan_triangles[:, 1]
+        self.sharing = np.unique(keys)
 
     def find(
         self, x: Float[np.ndarray, "nodes 3"], skin: Float[np.ndarray, " nodes"], turn: float = LISTED_TURN

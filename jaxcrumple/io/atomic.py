@@ -7,6 +7,7 @@ import io
 import json
 import math
 import os
+import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -61,6 +62,33 @@ def replacing(path: Path) -> Iterator[Path]:
         _sync_folder(path.parent)
     except BaseException as error:
         discard(beginning)
+        if isinstance(error, OSError):
+            raise refusal(path, error) from error
+        raise
+
+
+@contextmanager
+def whole_folder(path: Path) -> Iterator[Path]:
+    """Yield a new temporary folder beside `path`; on success, sync its files and rename it to `path`.
+
+    On failure, remove it. A kill may leave it behind; its name is fixed, so the next attempt replaces it.
+
+    **Raises:** `RunDirectoryError` for an OSError inside.
+    """
+    beginning = temporary(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if beginning.exists():
+            shutil.rmtree(beginning)
+        beginning.mkdir()
+        yield beginning
+        for part in beginning.rglob("*"):
+            if part.is_file():
+                _sync(part)
+        os.rename(beginning, path)
+        _sync_folder(path.parent)
+    except BaseException as error:
+        shutil.rmtree(beginning, ignore_errors=True)
         if isinstance(error, OSError):
             raise refusal(path, error) from error
         raise

@@ -209,9 +209,9 @@ class RunDirectory:
         """Return the mesh, and the stiffness of its edges (e,) in N/m and of its hinges (h,) in J."""
         return unpack_mesh(self.path / MESH, self.read(MESH))
 
-    def load_frames(self) -> Iterator[Frame]:
-        """Yield all frames in order."""
-        table = self._read_table(self._frames)
+    def load_frames(self, chosen: slice = slice(None)) -> Iterator[Frame]:
+        """Yield all frames in order, or only the `chosen` ones."""
+        table = self._read_table(self._frames)[chosen]
         for index, size, sha in zip(table["index"], table["size"], table["sha256"], strict=True):
             name = frame_name(index)
             yield unpack_frame(self.path / name, self.read(name, Entry(size, str(sha))))

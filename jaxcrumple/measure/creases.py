@@ -67,8 +67,13 @@ def mean_curvature(mesh: Mesh, x: NodeVectorsLike) -> Float[np.ndarray, " nodes"
 
     **Raises:** ValueError for a wrong shape of `x`.
     """
+    return curvature_of_angles(mesh, hinge_angles(mesh, x))
+
+
+def curvature_of_angles(mesh: Mesh, angle: Float[np.ndarray, " hinges"]) -> Float[np.ndarray, " nodes"]:
+    """Return the mean curvature (n,) in 1/m at the nodes, of hinge angles (h,) in rad."""
     ends = mesh.hinges[:, :2]
-    integral = _to_nodes(ends, 0.5 * mesh.hinge_length * hinge_angles(mesh, x), mesh.n_nodes)
+    integral = _to_nodes(ends, 0.5 * mesh.hinge_length * angle, mesh.n_nodes)
     area = _to_nodes(ends, _circumcentric_area(mesh), mesh.n_nodes)
     # Very obtuse triangles make this area small or negative; its lower bound is 1/4 of the barycentric area.
     area = np.maximum(area, _to_nodes(ends, mesh.hinge_area / 6.0, mesh.n_nodes) / 4.0)

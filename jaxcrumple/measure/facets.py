@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import connected_components
 
 from jaxcrumple._jax.arrays import HingeValuesLike
 from jaxcrumple.measure.creases import DAMAGE, damaged, plastic_curvature
-from jaxcrumple.measure.raster import Raster
+from jaxcrumple.measure.raster import Raster, require_flat
 from jaxcrumple.mesh.mesh import Mesh
 
 #: Least plastic fold angle of a crease in rad, summed over the damage within its width.
@@ -32,7 +32,6 @@ CLOSED = 0.5
 ROWS = 1.5
 
 _PIXELS = 12  # pixels per width of a crease
-_FLAT = 0.9  # least ratio of projected to true area of a triangle; below 1 to allow for imperfections
 
 
 class Facets(NamedTuple):
@@ -202,10 +201,7 @@ def _facets(mesh: Mesh, regions: Int[np.ndarray, " faces"]) -> Facets:
 
 
 def _check(mesh: Mesh, fold: float, width: float, closed: float) -> None:
-    e1, e2 = (mesh.vertices[mesh.faces[:, k], :2] - mesh.vertices[mesh.faces[:, 0], :2] for k in (1, 2))
-    shadow = np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]) / 2
-    if np.any(shadow < _FLAT * mesh.face_area):
-        raise ValueError("the rest shape is not flat; facets need a sheet that lies in the x-y plane")
+    require_flat(mesh, "facets")
     if not 0 < fold < np.inf:
         raise ValueError(f"fold = {fold} rad; give a positive angle")
     if not 0.5 <= width * mesh.linear_density < np.inf:

@@ -1,4 +1,4 @@
-"""Raster image of a flat sheet, the input of image analysis."""
+"""Raster image of a flat sheet, the input of image analysis and of learning."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from jaxcrumple.mesh.mesh import Mesh
 
 _BYTES = 60.0  # per pixel or point of a line, with copies
 _SUBDIVISION = 4  # samples of a triangle: the centres of its 4 x 4 parts
+_FLAT = 0.9  # least ratio of projected to true area of a triangle; below 1 to allow for imperfections
+_MARGIN = 1e-9  # margin of a square, so that rounding puts no point of the sheet outside
 
 
 class Raster(NamedTuple):
@@ -31,6 +33,18 @@ class Raster(NamedTuple):
         require(_BYTES * columns * rows, what, "choose a larger width")
         return cls(low - pixel, pixel, (int(rows), int(columns)))
 
+    @classmethod
+    def square(
+        cls, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"], count: int, what: str
+    ) -> Raster:
+        """Cover the rectangle from `low` to `high` (2,) in m by a square of `count` x `count` pixels.
+
+        Both have the same centre. `what`: name of the image in the refusal of one that memory cannot hold.
+        """
+        require(_BYTES * float(count) ** 2, what, "choose fewer pixels")
+        pixel = (1.0 + _MARGIN) * float((high - low).max()) / count
+        return cls(0.5 * (low + high) - 0.5 * (count - 1) * pixel, pixel, (count, count))
+
     def pixels(
         self, points: Float[np.ndarray, "*points 2"]
     ) -> tuple[Int[np.ndarray, " *points"], Int[np.ndarray, " *points"]]:
@@ -38,14 +52,23 @@ class Raster(NamedTuple):
         columns, rows = np.moveaxis(np.rint((points - self.origin) / self.pixel).astype(int), -1, 0)
         return rows, columns
 
-    def inside(self, mesh: Mesh) -> Bool[np.ndarray, "rows columns"]:
-        """Return a mask (rows, columns) of the pixels whose centre is on the sheet."""
+    def centres(self) -> Float[np.ndarray, "rows columns 2"]:
+        """Return x and y (rows, columns, 2) in m of the centres of the pixels."""
+        rows, columns = np.indices(self.shape)
+        return self.origin + self.pixel * np.stack([columns, rows], axis=-1)
+
+    def faces(self, mesh: Mesh) -> Int[np.ndarray, "rows columns"]:
+        """Return the triangle (rows, columns) at the centre of each pixel, or -1 outside the sheet."""
         from matplotlib.tri import Triangulation  # imported here, since matplotlib is slow to import
 
         x, y = mesh.vertices[:, :2].T
-        rows, columns = np.indices(self.shape)
-        at = self.origin[0] + self.pixel * columns, self.origin[1] + self.pixel * rows
-        return np.asarray(Triangulation(x, y, mesh.faces).get_trifinder()(*at)) >= 0
+        return np.asarray(
+            Triangulation(x, y, mesh.faces).get_trifinder()(*np.moveaxis(self.centres(), -1, 0))
+        )
+
+    def inside(self, mesh: Mesh) -> Bool[np.ndarray, "rows columns"]:
+        """Return a mask (rows, columns) of the pixels whose centre is on the sheet."""
+        return self.faces(mesh) >= 0
 
     def lines(
         self, ends: Float[np.ndarray, "lines 2 2"]
@@ -82,6 +105,17 @@ class Raster(NamedTuple):
         """Sample `image` at m points spread evenly over each triangle: values (f, m)."""
         corners = mesh.vertices[mesh.faces][..., :2]
         return image[self.pixels(np.einsum("mc,fcd->fmd", _barycentres(_SUBDIVISION), corners))]
+
+
+def require_flat(mesh: Mesh, who: str) -> None:
+    """Refuse a rest shape that an image in the x-y plane does not show; `who` needs a flat one.
+
+    **Raises:** ValueError.
+    """
+    e1, e2 = (mesh.vertices[mesh.faces[:, k], :2] - mesh.vertices[mesh.faces[:, 0], :2] for k in (1, 2))
+    shadow = np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]) / 2
+    if np.any(shadow < _FLAT * mesh.face_area):
+        raise ValueError(f"the rest shape is not flat; {who} need a sheet that lies in the x-y plane")
 
 
 def _barycentres(n: int) -> Float[np.ndarray, "parts 3"]:

@@ -18,6 +18,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import Delaunay
 
 from jaxcrumple._jax.memory import require
+from jaxcrumple._jax.shared import shared
 from jaxcrumple.mesh.mesh import Mesh
 
 _ROW = math.sqrt(3) / 2  # height of a lattice row in units of the spacing
@@ -180,6 +181,11 @@ def _random_mesh(domain: _Domain, nodes: SupportsIndex, seed: SupportsIndex, swe
         whole_number("sweeps", sweeps, 0),
     )
     _check_size(nodes, "nodes")
+    return _lloyd_mesh(domain, nodes, seed, sweeps)
+
+
+@shared
+def _lloyd_mesh(domain: _Domain, nodes: int, seed: int, sweeps: int) -> Mesh:
     spacing = lattice_spacing(domain.area, domain.perimeter, nodes)
     fixed = domain.boundary(spacing)
     if len(fixed) >= nodes:

@@ -1,77 +1,30 @@
 """Run a configuration into a folder of results, resumable after any interruption."""
 
-import importlib.metadata
-import resource
-import sys
-import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from jaxcrumple._jax.door import door
-from jaxcrumple.io import RunDirectory, RunDirectoryError, load_checkpoint, sheet_fields, write_vtkhdf
+from jaxcrumple.io import RunDirectory, RunDirectoryError, load_checkpoint
 from jaxcrumple.io.frames import Stiffness
 from jaxcrumple.io.lock import writing
 from jaxcrumple.io.manifest import Manifest
-from jaxcrumple.io.rundir import FILM, PARTIAL, RUN, is_run, make_folder, read_contents
+from jaxcrumple.io.rundir import RUN, is_run, make_folder, read_contents
 from jaxcrumple.io.sketch import SAME, first_difference, sketch_scene
 from jaxcrumple.io.verify import check_sound, damages, go_back
 from jaxcrumple.mesh.mesh import Mesh
 from jaxcrumple.observers import Observer
 from jaxcrumple.options.validation import ConfigError
+from jaxcrumple.run.begun import Begun, Ending, RunRecorder
 from jaxcrumple.run.config import PYTHON, RunConfig, SolverOptions, config_of
 from jaxcrumple.run.estimate import require_config
-from jaxcrumple.run.summary import physics
 from jaxcrumple.scenes.setup import Setup
-from jaxcrumple.simulation import frame_times, simulate
-from jaxcrumple.solvers.scheme import Integrator
-from jaxcrumple.solvers.start import check_start, pierced
-from jaxcrumple.state import RESULTS, STAGES, State, initial_state
-
-# Number of checkpoints that remain at the end, beside the last one.
-KEPT = 4
-PACKAGES = ("jaxcrumple", "jax", "jaxlib", "numpy", "scipy", "diffrax", "equinox")
-
-
-class RunRecorder:
-    """Save frames, rows and checkpoints during a run.
-
-    Each checkpoint commits all earlier rows and frames, so a killed run resumes from the last checkpoint as
-    if nothing had been written since. About KEPT checkpoints remain at the end.
-    """
-
-    def __init__(self, folder: RunDirectory, frames: int, spent: dict[str, float]):
-        self.folder = folder
-        self.stride = max(1, round(frames / KEPT))
-        self.spent = spent
-        self.start = time.perf_counter(), time.process_time()
-
-    def frame(self, index: int, state: State) -> None:
-        """Save a frame."""
-        self.folder.save_frame(float(state.t), state.x, state.v, state.p)
-        self.checkpoint(state, keep=index % self.stride == 0)
-
-    def chunk(self, state: State, history: pd.DataFrame, events: pd.DataFrame, frames: int) -> None:
-        """Append rows, then write a checkpoint."""
-        numbers = history.assign(stage=[STAGES.index(stage) for stage in history["stage"]])
-        self.folder.append_history(numbers.to_numpy(float))
-        self.folder.append_events(events.to_dict("records"))
-        self.checkpoint(state)
-
-    def checkpoint(self, state: State, *, keep: bool = False) -> None:
-        """Save the whole state."""
-        self.folder.commit(state, {"t": float(state.t), "spent": self.totals()}, keep=keep)
-
-    def totals(self) -> dict[str, float]:
-        """Return wall and CPU seconds of this run, including earlier sessions."""
-        wall, cpu = self.start
-        return {
-            "run_s": self.spent.get("run_s", 0.0) + time.perf_counter() - wall,
-            "cpu_s": self.spent.get("cpu_s", 0.0) + time.process_time() - cpu,
-        }
+from jaxcrumple.simulation import simulate
+from jaxcrumple.solvers.start import check_start
+from jaxcrumple.state import initial_state
 
 
 @door
@@ -98,6 +51,19 @@ def start_run(
     """
     if not isinstance(run, Setup) and solver is not None:
         raise ConfigError("the configuration has its own solver; give solver only with a Setup.")
+    with started(run, out, solver=solver, wait=wait) as begun:
+        return finished(begun, observers, max_seconds)
+
+
+@contextmanager
+def started(
+    run: RunConfig | Setup,
+    out: str | Path,
+    *,
+    solver: SolverOptions | Mapping[str, Any] | None = None,
+    wait: bool = False,
+) -> Iterator[Begun]:
+    """Begin a run in a new folder, as `start_run` does, and hold the lock of the folder inside."""
     config = config_of(run, solver) if isinstance(run, Setup) else run
     own = config.solver.build()
     RunDirectory.check_free(out)
@@ -107,7 +73,7 @@ def start_run(
     check_start(setup.scene, state)
     with writing(make_folder(out), wait=wait):
         folder = RunDirectory.create(out, *_parts(config, setup))
-        return _go(config, folder, setup, own, state, {}, observers, max_seconds)
+        yield Begun(config, folder, setup, own, state, RunRecorder(folder, config.frames, {}))
 
 
 @door
@@ -129,13 +95,24 @@ def resume_run(
     **Raises:** `RunDirectoryError` if `out` is not a run, is damaged, or another process writes into it;
     ValueError if the options, or `setup`, no longer build the original scene.
     """
+    with continued(out, setup=setup, wait=wait) as begun:
+        return begun if isinstance(begun, dict) else finished(begun, observers, max_seconds)
+
+
+@contextmanager
+def continued(
+    out: str | Path, *, setup: Setup | None = None, wait: bool = False
+) -> Iterator[Begun | dict[str, Any]]:
+    """Open a run that goes on from its last checkpoint, as `resume_run` does, and hold the lock of its folder
+    inside. Yield the summary of a successful run."""
     path = RunDirectory.open(out).path
     with writing(path, wait=wait):
         lacking = check_sound(path)
         folder = RunDirectory.open(path)
         summary = {} if lacking else folder.read_summary()
         if summary.get("result") == "success":
-            return summary
+            yield summary
+            return
         config = stored_config(folder)
         solver, setup = config.solver.build(), _built_again(config, folder, setup)
         folder.cut()
@@ -143,7 +120,7 @@ def resume_run(
         if folder.manifest.checkpoint is not None:
             state, metadata = load_checkpoint(path / folder.manifest.checkpoint, state)
             spent = metadata["spent"]
-        return _go(config, folder, setup, solver, state, spent, observers, max_seconds)
+        yield Begun(config, folder, setup, solver, state, RunRecorder(folder, config.frames, spent))
 
 
 def repair_run(out: str | Path) -> float | None:
@@ -227,112 +204,21 @@ def stored_config(folder: RunDirectory) -> RunConfig:
         raise RunDirectoryError(f"{folder.path}: run.json cannot be read as a run: {error}") from error
 
 
-class Ending(NamedTuple):
-    """End of a run: last valid state, name of the result, its explanation, and compile time in s."""
-
-    state: State
-    result: str
-    message: str
-    compile_s: float
-
-
-def _go(
-    config: RunConfig,
-    folder: RunDirectory,
-    setup: Setup,
-    solver: Integrator,
-    state: State,
-    spent: dict[str, float],
-    observers: Sequence[Observer],
-    max_seconds: float | None,
-) -> dict[str, Any]:
-    """Simulate the remaining time and write all files; the summary comes last, so it certifies the others."""
-    recorder = RunRecorder(folder, config.frames, spent)
-    times, reached = frame_times(config.t_end, config.frames), len(folder.frames())
-    if reached == len(times):
-        ending = _ended(setup, state)
-    else:
-        watchers = (recorder, *observers)
+def finished(begun: Begun, observers: Sequence[Observer], max_seconds: float | None) -> dict[str, Any]:
+    """Simulate the remaining time, write all files, and return the summary."""
+    ending = begun.ended()
+    if ending is None:
         solution = simulate(
-            setup.scene,
-            state,
-            times,
-            solver=solver,
-            observers=watchers,
-            first_frame=reached,
+            begun.setup.scene,
+            begun.state,
+            begun.times,
+            solver=begun.solver,
+            observers=(begun.recorder, *observers),
+            first_frame=begun.reached,
             max_seconds=max_seconds,
         )
         ending = Ending(solution.state, solution.result, solution.message, solution.compile_s)
-        # Save the last valid state even between frames.
-        recorder.checkpoint(ending.state)
-    export(folder)
-    summary = _summary(config, folder, setup, ending, recorder)
-    folder.finish(summary)
-    return summary
-
-
-def _ended(setup: Setup, state: State) -> Ending:
-    """Return the ending of a run that was interrupted after its last frame."""
-    scene = setup.scene
-    through = scene.contact is not None and len(pierced(scene, state.x))
-    result = RESULTS.intersected if through else RESULTS.success
-    return Ending(state, "intersected" if through else "success", RESULTS[result], 0.0)  # type: ignore[misc]
-
-
-def export(folder: RunDirectory, name: str = FILM) -> Path | None:
-    """Write the saved frames as a file for ParaView; return its path, or None without frames."""
-    if not folder.frames():
-        return None
-    mesh, stiffness = folder.load_sheet()
-    fields = sheet_fields(mesh, *stiffness)
-    write_vtkhdf(folder.path / name, mesh, folder.load_frames(), *fields)
-    return folder.path / name
-
-
-def film(folder: RunDirectory) -> Path | None:
-    """Return the path of a run's ParaView file; write it again if it is missing or damaged.
-
-    For an unfinished run, write the frames so far under another name. Returns None without frames.
-    """
-    if not folder.finished:
-        return export(folder, PARTIAL)
-    if folder.is_sound(FILM):
-        return folder.path / FILM
-    with writing(folder.path):
-        path = export(folder)
-        folder.add_film()
-    return path
-
-
-def _summary(
-    config: RunConfig, folder: RunDirectory, setup: Setup, ending: Ending, recorder: RunRecorder
-) -> dict[str, Any]:
-    state, counters = ending.state, ending.state.counters
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return {
-        "scene": config.scene,
-        "nodes": setup.mesh.n_nodes,
-        "seed": config.seed,
-        "t_end": config.t_end,
-        "t_reached": float(state.t),
-        "rtol": config.solver.rtol,
-        "result": ending.result,
-        "message": ending.message,
-        "compile_s": ending.compile_s,
-        **recorder.totals(),
-        # ru_maxrss is in kB on Linux and in bytes on macOS.
-        "peak_memory_mb": peak / (2**20 if sys.platform == "darwin" else 2**10),
-        "steps": {
-            **dict(zip(STAGES, map(int, counters.steps), strict=True)),
-            "rejected": int(np.sum(counters.rejected)),
-        },
-        "newton_iterations": int(counters.newton),
-        "linear_iterations": int(counters.linear),
-        "factors": int(counters.factors),
-        "switches": int(counters.switches),
-        **physics(setup, state, folder.read_history(), folder.read_events()),
-        "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
-    }
+    return begun.finish(ending)
 
 
 def check_resumable(config: RunConfig, given: Collection[str], out: str | Path) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxcrumple._jax.memory import require
+from jaxcrumple._jax.shared import shared
 from jaxcrumple._jax.tree import as_array
 from jaxcrumple.contact.parameters import SelfContact, default_level, is_range
 from jaxcrumple.contact.potentials import DEFAULT_POTENTIAL, Potential
@@ -80,8 +81,7 @@ class SheetOptions:
         """
         if not (np.isfinite(self.imperfection) and self.imperfection >= 0):
             raise ValueError(f"imperfection = {self.imperfection!r} m must be zero or positive.")
-        height = smooth_imperfection(flat.vertices[:, :2], size, self.imperfection, seed)
-        return flat.with_rest_shape(flat.vertices + height[:, None] * np.array([0.0, 0.0, 1.0]))
+        return _imperfect(flat, size, self.imperfection, seed)
 
     @property
     def thickness(self) -> float:
@@ -116,6 +116,12 @@ class SheetOptions:
             contact=contact,
         )
         return Setup(mesh, scene, as_array(mesh.vertices if x is None else x), contact, self.material)
+
+
+@shared
+def _imperfect(flat: Mesh, size: float, amplitude: float, seed: int) -> Mesh:
+    height = smooth_imperfection(flat.vertices[:, :2], size, amplitude, seed)
+    return flat.with_rest_shape(flat.vertices + height[:, None] * np.array([0.0, 0.0, 1.0]))
 
 
 def smooth_imperfection(

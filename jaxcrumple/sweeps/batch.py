@@ -1,7 +1,8 @@
-"""Run all cases of a sweep as one program: lanes with individual step sizes, stages and results."""
+"""Run members as lanes of one program, each with its own steps; ended lanes make room for waiting members."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import equinox as eqx
@@ -9,178 +10,331 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh as DeviceMesh
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Float, Int
 
 from jaxcrumple._jax.memory import require
 from jaxcrumple._jax.program_cache import make_room
 from jaxcrumple._jax.threads import limited_blas
-from jaxcrumple.scene import Scene
-from jaxcrumple.simulation import MOST_WAITS, RESULT_NAMES
-from jaxcrumple.solvers.contact.reallocate import batch_with_contacts
-from jaxcrumple.solvers.start import check_gap, check_start, pierced
-from jaxcrumple.state import RESULTS, State, initial_state
+from jaxcrumple.observers import tell_rows
+from jaxcrumple.simulation import CALL, MOST_WAITS, RESULT_NAMES, SHORTEST, TRAIL
+from jaxcrumple.solvers.contact.reallocate import batch_with_contacts, joined_with_contacts
+from jaxcrumple.solvers.log import Log
+from jaxcrumple.solvers.start import check_gap, pierced
+from jaxcrumple.state import RESULTS, State
 from jaxcrumple.sweeps import lanes
-from jaxcrumple.sweeps.cases import Case, Limits, blamed
-from jaxcrumple.sweeps.lanes import AXIS, Inputs, differing, lane, lanes_of, spread, stacked
-from jaxcrumple.sweeps.size_class import SizeClass
-from jaxcrumple.sweeps.table import Frames, Measure, Outcome, Tell
+from jaxcrumple.sweeps.cases import blamed
+from jaxcrumple.sweeps.lanes import AXIS, Inputs, Lanes, differing, lane_of, lanes_of, own_of, placed, spread
+from jaxcrumple.sweeps.members import Member, Start
+from jaxcrumple.sweeps.size_class import SizeClass, kind_of
 
 # Bytes per node and lane of a scene and a state.
 LANE = 6e3
+# Most lanes of a batch by default: a GPU gains little beyond.
+LANES = 256
+# Shortest wall time in s between reports of the steps of a lane, except at its frames and its end.
+REPORT = 30.0
 
 
 def run_batch(
-    cases: Sequence[Case],
-    times: Float[np.ndarray, " times"],
-    measure: Measure,
-    limits: Limits,
-    devices: Sequence[jax.Device],
-    tell: Tell,
-) -> list[Outcome]:
-    """Run the cases side by side and return their outcomes.
+    members: Sequence[Member], devices: Sequence[jax.Device], most: int, attempts: float = np.inf
+) -> None:
+    """Run all members, at most `most` of them side by side, and tell each how it ends.
 
-    **Raises:** ValueError if the cases differ in mesh or kind, or if a start is impossible.
+    Members of one kind share a program: those whose scenes and solvers have the same structure, numbers of
+    nodes, edges and hinges, and contact level. Other kinds follow one another. A member that fails stops
+    alone.
+
+    **Arguments:** `attempts`: step attempts of a member, after which it ends with the result "budget".
+
+    **Raises:** ValueError, before any step, if one of the first `most` members cannot begin or handles only
+    one sheet at a time.
     """
-    if any(case.solver.one_matrix for case in cases):
-        raise ValueError(
-            "the direct solver handles one sheet at a time; choose linear='two-level' or backend='processes'."
-        )
+    for member in members:
+        if member.solver.one_matrix:
+            raise ValueError(
+                f"{member.name}: the direct solver handles one sheet at a time; choose linear='two-level' or "
+                "backend='processes'."
+            )
+    queue = _Queue(members, most)
     with limited_blas():
-        batch = _Batch(cases, times, limits, devices)
-        make_room(len(cases), batch.setups[0].scene, cases[0].solver)
-        frames = [Frames(measure, setup) for setup in batch.setups]
-        while np.any(batch.going):
-            batch.advance()
-            for index, state in batch.arrived():
-                if not frames[index].take(state):
-                    batch.stop(index)
-            for index in batch.ended():
-                tell(cases[index].name, frames[index].outcome(batch.results[index]).result)
-    states = jax.device_get(batch.states)
-    return [own.outcome(batch.results[index], lane(states, index)) for index, own in enumerate(frames)]
+        while queue.waiting:
+            _Batch(queue, devices, most, attempts).run()
+
+
+def require_lanes(lanes: object) -> None:
+    """Refuse a number of lanes that is none.
+
+    **Raises:** ValueError that quotes it.
+    """
+    if not isinstance(lanes, int | np.integer) or isinstance(lanes, bool) or lanes < 1:
+        raise ValueError(f"lanes = {lanes!r} must be at least 1, a whole number.")
+
+
+@dataclass
+class _Lane:
+    """One member while it runs: its `kind`, the frames it has `reached`, the attempts made before, `rows` not
+    told yet, wall time in s of its calls, and calls without an attempt."""
+
+    member: Member
+    start: Start
+    kind: Hashable
+    reached: int
+    before: int
+    rows: list[Float[np.ndarray, "_ columns"]] = field(default_factory=list)
+    told: float = field(default_factory=time.perf_counter)
+    wall: float = 0.0
+    waits: int = 0
+
+    @property
+    def due(self) -> float:
+        """Time in s of the next frame."""
+        return float(self.start.times[self.reached])
+
+    def report(self, state: State, *, at_once: bool = True) -> None:
+        """Tell the observers the rows, at once or if the last report is long ago."""
+        if at_once or time.perf_counter() - self.told > REPORT:
+            tell_rows(self.member.observers, state, self.rows, self.reached)
+            self.rows, self.told = [], time.perf_counter()
+
+    def frame(self, state: State) -> None:
+        """Tell the observers a frame."""
+        for observer in self.member.observers:
+            observer.frame(self.reached, state)
+        if self.start.recorder is not None:
+            self.start.recorder.frame(self.due)
+        self.reached += 1
+
+
+class _Queue:
+    """Members that wait, with their kinds as far as known. The first ones come from all parts of the list, so
+    that they show in which arrays lanes differ."""
+
+    def __init__(self, members: Sequence[Member], most: int):
+        apart = -(-len(members) // most)
+        self.waiting: list[tuple[Member, Hashable]] = [
+            (member, None) for first in range(apart) for member in members[first::apart]
+        ]
+        self.started = False
+
+    def next(self, kind: Hashable = None) -> _Lane | None:
+        """Begin the next member, of this kind if given; return None if none waits."""
+        place = 0
+        while place < len(self.waiting):
+            member, known = self.waiting[place]
+            if kind is not None and known not in (None, kind):
+                place += 1
+                continue
+            lane = self._begun(member)
+            if lane is None or kind in (None, lane.kind):
+                del self.waiting[place]
+            else:
+                self.waiting[place] = member, lane.kind
+                member.pause()
+                continue
+            if lane is not None:
+                return lane
+        return None
+
+    def _begun(self, member: Member) -> _Lane | None:
+        try:
+            start = member.begin()
+            if start is None:
+                return None
+            # A run that goes on after its budget begins anew.
+            state = eqx.tree_at(lambda s: s.result, start.state, RESULTS.success)
+            start = start._replace(state=state)
+            kind = kind_of(start.scene, (member.solver, state, start.recorder is None))
+            return _Lane(member, start, kind, start.frames, int(_attempts(state)))
+        except Exception as error:
+            if not self.started:
+                raise
+            member.fail(error)
+            return None
 
 
 class _Batch:
-    """State of all lanes; each lane advances from frame to frame with its own steps."""
+    """Lanes of one kind. Each advances from frame to frame with its own steps."""
 
-    def __init__(
-        self,
-        cases: Sequence[Case],
-        times: Float[np.ndarray, " times"],
-        limits: Limits,
-        devices: Sequence[jax.Device],
-    ):
-        self.times, self.limits = times, limits
-        self.setups = [cases[0].build()]
-        _check_size(len(cases), self.setups[0].mesh.n_nodes)
-        self.setups += [case.build() for case in cases[1:]]
-        sizes = SizeClass.of([setup.scene for setup in self.setups])
-        self.setups = [setup._replace(scene=sizes.padded(setup.scene)) for setup in self.setups]
-        states = [initial_state(setup.scene, setup.x) for setup in self.setups]
-        self.solvers = [case.solver for case in cases]
-        for case, setup, state in zip(cases, self.setups, states, strict=True):
-            with blamed(case.name):
-                check_start(setup.scene, state)
-        scenes = [setup.scene for setup in self.setups]
-        self.own = differing(list(zip(scenes, self.solvers, strict=True)))
-        self.scenes = _listed(cases, scenes, states)
-        count = min(len(devices), len(cases))
+    def __init__(self, queue: _Queue, devices: Sequence[jax.Device], most: int, attempts: float):
+        self.queue, self.attempts = queue, attempts
+        first = queue.next()
+        found = [] if first is None else [first]
+        if first is not None:
+            self.kind = first.kind
+            nodes = first.start.scene.n_nodes
+            most = min(most, 1 + len(queue.waiting))
+            what = f"a batch of {most} lanes of {nodes} nodes"
+            require(LANE * most * nodes, what, "choose fewer lanes or nodes, or backend='processes'")
+        while found and len(found) < most and (more := queue.next(self.kind)):
+            found.append(more)
+        count = max(1, min(len(devices), len(found)))
         self.devices = DeviceMesh(np.array(devices[:count]), (AXIS,))
-        # Each device has the same number of lanes; spare lanes repeat the last case and never start.
-        self.spare = -len(cases) % count
-        self.lanes = lanes_of(self._inputs(), self.own, self.devices)
-        self.states: State = stacked(states + states[-1:] * self.spare)
-        size = len(cases) + self.spare
-        self.reached, self.waits = np.zeros(size, int), np.zeros(size, int)
-        self.going = np.arange(size) < len(cases)
-        self.start = 0.0
+        # Each device has the same number of lanes; spare ones repeat the last member and never start.
+        self.seats: list[_Lane | None] = [*found, *[None] * (-len(found) % count)]
+        if found:
+            self._seat(found + found[-1:] * (len(self.seats) - len(found)))
 
-    def _inputs(self) -> list[Inputs]:
-        pairs = list(zip(self.scenes, self.solvers, strict=True))
-        return pairs + pairs[-1:] * self.spare
+    def _seat(self, filled: Sequence[_Lane]) -> None:
+        """Prepare the first lanes.
 
-    @property
-    def results(self) -> Shaped[np.ndarray, " lanes"]:
-        """Names of the results of all lanes."""
-        names = np.full(len(self.going), "", dtype=object)
-        for name in RESULT_NAMES:
-            names[np.asarray(self.states.result == getattr(RESULTS, name))] = name
-        return names
+        **Raises:** ValueError for a start whose layers overlap.
+        """
+        self.scenes = [lane.start.scene for lane in filled]
+        self.solvers = [lane.member.solver for lane in filled]
+        self.trail = 0 if filled[0].start.recorder is None else TRAIL
+        self.states: State = spread(lanes.stacked([lane.start.state for lane in filled]), self.devices)
+        self.sizes = SizeClass.of(self.scenes)
+        self.mask: Inputs | None = None
+        self.soon = SHORTEST
+        make_room(len(filled), self.scenes[0], self.solvers[0])
+        self._assemble()
+        if self.scenes[0].contact is not None:
+            for lane, scene in zip(filled, self.listed, strict=True):
+                with blamed(lane.member.name):
+                    check_gap(scene, lane.start.state)
 
-    def advance(self) -> None:
-        """Call the program once for all active lanes; rebuild neighbour lists if a lane stopped for it."""
-        if self.start and time.perf_counter() - self.start > self.limits.seconds:
-            self._end(self.going, RESULTS.budget)
-            return
-        made = self._attempts()
-        stops = np.where(self.going, self._due, -np.inf)
-        left = self.limits.attempts - made
+    def _assemble(self) -> None:
+        """Build the arrays of all lanes anew; the next call compiles."""
+        plain = [self.sizes.padded(scene) for scene in self.scenes]
+        self.mask = differing(list(zip(plain, self.solvers, strict=True)), self.mask)
+        self.plain = plain[0], self.solvers[0]
+        self._list(plain)
+
+    def _list(self, scenes: Sequence[Any]) -> None:
+        """Build the neighbour lists of all lanes, with the same capacities."""
+        states = jax.device_get(self.states)
+        each = [lane_of(states, index) for index in range(len(scenes))]
+        self.listed = batch_with_contacts(scenes, each)
+        assert self.mask is not None
+        inputs = list(zip(self.listed, self.solvers, strict=True))
+        self.lanes: Lanes = lanes_of(inputs, self.mask, self.devices)
+        self.fresh = True
+
+    def run(self) -> None:
+        """Advance all lanes until they and all waiting members of their kind have ended."""
+        self.queue.started = True
+        try:
+            while any(self.seats):
+                self._advance()
+                for index, lane in self._going():
+                    self._follow(index, lane)
+                self._refill()
+        finally:
+            for _, lane in self._going():
+                lane.member.pause()
+
+    def _going(self) -> Iterator[tuple[int, _Lane]]:
+        return ((index, lane) for index, lane in enumerate(self.seats) if lane is not None)
+
+    def _advance(self) -> None:
+        """Call the program once for all lanes, and rebuild neighbour lists if a lane stopped for it."""
+        made = _attempts(self.states)
+        stops, left = np.full(len(self.seats), -np.inf), np.zeros(len(self.seats))
+        for index, lane in self._going():
+            stops[index] = lane.due
+            left[index] = min(self.attempts - (made[index] - lane.before), self.soon)
+        if self.fresh:
+            jax.block_until_ready(self._called(stops, 0.0 * left))
+            self.fresh = False
+        start = time.perf_counter()
+        self.states, log = jax.block_until_ready(self._called(stops, left))
+        seconds = time.perf_counter() - start
+        steps = _attempts(self.states) - made
+        self.soon = max(SHORTEST, np.ceil(float(steps.max()) * CALL / seconds))
+        self._account(steps, seconds, log)
+        listing = self.states.listing
+        if listing is not None and np.any(np.asarray(listing.needed)):
+            self._list(self.listed)
+
+    def _called(self, stops: Float[np.ndarray, " lanes"], left: Float[np.ndarray, " lanes"]) -> Any:
         # Use the same placement in every call: another placement would compile another program.
         moving = spread((self.states, jnp.asarray(stops), jnp.asarray(left)), self.devices)
         side_by_side = lanes.best_side_by_side(self.devices.devices[0])
-        self.states = lanes.advance(self.lanes, moving, self.devices, side_by_side)
-        waited = self.going & (self._attempts() == made) & (left > 0)
-        self.waits = np.where(waited, self.waits + 1, 0)
-        unfinished = self.going & (np.asarray(self.states.t) < stops)
-        self._end(unfinished & (self.limits.attempts <= self._attempts()), RESULTS.budget)
-        # The first call compiles; compile time does not count.
-        self.start = self.start or time.perf_counter()
-        self._end(self.waits > MOST_WAITS, RESULTS.collapsed)
-        listing = self.states.listing
-        if listing is not None and np.any(np.asarray(listing.needed)):
-            states = jax.device_get(self.states)
-            each = [lane(states, index) for index in range(len(self.scenes))]
-            self.scenes = batch_with_contacts(self.scenes, each)
-            self.lanes = lanes_of(self._inputs(), self.own, self.devices)
+        return lanes.advance(self.lanes, moving, self.devices, side_by_side, self.trail)
 
-    def arrived(self) -> Iterator[tuple[int, State]]:
-        """Yield each lane that reached its next frame, with its state; then advance its target frame."""
-        sound = self.results == "success"
-        there = np.asarray(self.states.t) >= self._due
-        for index in np.flatnonzero(self.going & sound & there).tolist():
-            state = lane(self.states, index)
-            yield index, state
-            self.reached[index] += 1
-            if self.scenes[index].contact is not None and len(pierced(self.scenes[index], state.x)):
-                self._end(np.arange(len(self.going)) == index, RESULTS.intersected)
+    def _account(self, steps: Int[np.ndarray, " lanes"], seconds: float, log: Log) -> None:
+        """Give each lane what it did in a call that took `seconds`."""
+        rows, lengths = np.asarray(log.rows), np.asarray(log.length)
+        for index, lane in self._going():
+            lane.rows.append(rows[index, : lengths[index]].copy())
+            if lane.start.recorder is not None:
+                lane.start.recorder.extend(jax.device_get(lane_of(log.trail, index)))
+            lane.wall += seconds
+            lane.member.spend(seconds * float(steps[index]) / max(1.0, float(steps.sum())))
+            lane.waits = 0 if steps[index] else lane.waits + 1
 
-    def stop(self, index: int) -> None:
-        """Stop a lane."""
-        self.reached[index] = len(self.times)
+    def _follow(self, index: int, lane: _Lane) -> None:
+        """Tell the observers of a lane how it stands; free its seat if it has ended."""
+        state = lane_of(self.states, index)
+        try:
+            result = self._result(lane, state)
+            there = result == "success" and float(state.t) >= lane.due
+            ended = result != "success" or (there and lane.reached + 1 == len(lane.start.times))
+            lane.report(state, at_once=there or ended)
+            if there:
+                lane.frame(state)
+                if lane.start.scene.contact is not None and len(pierced(lane.start.scene, state.x)):
+                    result, ended = "intersected", True
+            if ended:
+                self.seats[index] = None
+                final = eqx.tree_at(lambda s: s.result, state, getattr(RESULTS, result))
+                lane.member.end(jax.device_get(final), result)
+        except Exception as error:
+            self.seats[index] = None
+            lane.member.fail(error)
 
-    def ended(self) -> Int[np.ndarray, " ended"]:
-        """Return the lanes that ended since the last call."""
-        ended = self.going & ((self.results != "success") | (self.reached >= len(self.times)))
-        self.going = self.going & ~ended
-        return np.flatnonzero(ended)
+    def _result(self, lane: _Lane, state: State) -> str:
+        """Return the name of the result of a lane so far."""
+        result = next(name for name in RESULT_NAMES if bool(state.result == getattr(RESULTS, name)))
+        if result != "success" or float(state.t) >= lane.due:
+            return result
+        if lane.waits > MOST_WAITS:
+            return "collapsed"
+        over = _attempts(state) - lane.before >= self.attempts or lane.wall > lane.start.seconds
+        return "budget" if over else "success"
 
-    @property
-    def _due(self) -> Float[np.ndarray, " lanes"]:
-        """Time in s of the next frame of each lane."""
-        return self.times[np.minimum(self.reached, len(self.times) - 1)]
+    def _refill(self) -> None:
+        """Give free seats to waiting members."""
+        fits = True
+        for index, lane in enumerate(self.seats):
+            if lane is None and (more := self.queue.next(self.kind)):
+                fits = self._taken(index, more) and fits
+        if not fits:
+            self._assemble()
 
-    def _attempts(self) -> Int[np.ndarray, " lanes"]:
-        counters = self.states.counters
-        return np.sum(np.asarray(counters.steps), axis=1) + np.sum(np.asarray(counters.rejected), axis=1)
+    def _taken(self, index: int, lane: _Lane) -> bool:
+        """Put a lane in a seat; return whether the program and the arrays of the others fit."""
+        start, solver = lane.start, lane.member.solver
+        assert self.mask is not None
+        sizes = SizeClass(*map(max, self.sizes, SizeClass.of([start.scene])))
+        scene = sizes.padded(start.scene)
+        fits = sizes == self.sizes
+        if fits:
+            wider = differing([self.plain, (scene, solver)], self.mask)
+            fits = bool(eqx.tree_equal(wider, self.mask))
+        listed = joined_with_contacts(scene, start.state, self.listed[0])
+        try:
+            if scene.contact is not None:
+                check_gap(listed, start.state)
+        except ValueError as error:
+            lane.member.fail(error)
+            return True
+        self.seats[index], self.sizes = lane, sizes
+        self.scenes[index], self.solvers[index], self.listed[index] = start.scene, solver, listed
+        self.states = placed(self.states, index, start.state, self.devices)
+        if not fits or _shapes(listed) != _shapes(self.listed[index - 1]):
+            return False
+        own = placed(self.lanes.own, index, own_of((listed, solver), self.mask), self.devices)
+        self.lanes = self.lanes._replace(own=own)
+        return True
 
-    def _end(self, which: Bool[np.ndarray, " lanes"], result: Any) -> None:
-        """Set the result of the selected lanes."""
-        if np.any(which):
-            given = jax.vmap(lambda here, old: RESULTS.where(here, result, old))(which, self.states.result)
-            self.states = eqx.tree_at(lambda s: s.result, self.states, given)
+
+def _attempts(states: State) -> Int[np.ndarray, " *lanes"]:
+    """Return the attempts of a state, or of each lane."""
+    counters = states.counters
+    steps, rejected = np.asarray(counters.steps), np.asarray(counters.rejected)
+    return np.asarray(steps.sum(axis=-1) + rejected.sum(axis=-1))
 
 
-def _check_size(lanes: int, nodes: int) -> None:
-    """Refuse more lanes than fit into memory."""
-    what = f"a batch of {lanes} lanes of {nodes} nodes"
-    require(LANE * lanes * nodes, what, "give fewer cases or nodes, or choose backend='processes'")
-
-
-def _listed(cases: Sequence[Case], scenes: Sequence[Scene], states: Sequence[State]) -> list[Scene]:
-    """Build the neighbour lists of all scenes, and refuse a start whose layers overlap."""
-    scenes = batch_with_contacts(scenes, states)
-    for case, scene, state in zip(cases, scenes, states, strict=True):
-        if scene.contact is not None:
-            with blamed(case.name):
-                check_gap(scene, state)
-    return scenes
+def _shapes(tree: Any) -> list[tuple[int, ...]]:
+    return [leaf.shape for leaf in jax.tree.leaves(tree)]

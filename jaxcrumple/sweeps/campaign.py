@@ -12,23 +12,32 @@ from distributed import Client
 from jaxcrumple._jax.tree import require_limit
 from jaxcrumple.io import RunDirectory, RunDirectoryError
 from jaxcrumple.io.atomic import refusal, write_bytes
-from jaxcrumple.io.lock import writing
-from jaxcrumple.io.rundir import is_run, make_folder
+from jaxcrumple.io.rundir import is_run
 from jaxcrumple.options.validation import ConfigError
 from jaxcrumple.run.config import RunConfig
 from jaxcrumple.run.estimate import require_config
-from jaxcrumple.run.run import resume_run, start_run, stored_config
+from jaxcrumple.run.run import stored_config
 from jaxcrumple.solvers.start import check_start
 from jaxcrumple.state import initial_state
+from jaxcrumple.sweeps.batch import require_lanes
 from jaxcrumple.sweeps.cases import blamed
 from jaxcrumple.sweeps.cluster import Cluster, connected, local_workers, run_all
+from jaxcrumple.sweeps.run_members import (
+    check_same,
+    ended_summary,
+    flat_options,
+    lane_solver,
+    run_missing,
+    run_missing_as_lanes,
+    summary_of,
+)
 from jaxcrumple.sweeps.table import Tell
 
 TABLE = "campaign.csv"
 # Longest name of a folder in bytes. The folder of the campaign also holds a table and the locks.
 LONGEST = 255
-# The result of a run that used up its wall time.
-BUDGET = "budget"
+# A job of a worker that runs lanes has at most WAITING times as many runs.
+WAITING = 4
 
 
 def campaign(
@@ -36,6 +45,7 @@ def campaign(
     folder: str | Path,
     *,
     cluster: Cluster = None,
+    lanes: int = 1,
     max_seconds: float | None = None,
     tell: Tell = lambda name, result: None,
 ) -> pd.DataFrame:
@@ -45,23 +55,35 @@ def campaign(
     repeated call resumes unfinished runs and only reads finished ones. A run that raises an exception does
     not stop the others: its result is "error" with a message, and the next call tries it again.
 
-    **Arguments:** `runs`: configurations by name, from `configure` or `grid`; `cluster`: as in `sweep`; its
-    workers must have access to `folder`; `max_seconds`: wall time of each run, without compile time, after
-    which it ends with the result "budget"; a repeated call resumes it; `tell`: called with name and result of
-    each run as it ends.
+    **Arguments:**
+
+    - `runs`: configurations by name, from `configure` or `grid`.
+    - `cluster`: as in `sweep`; its workers must have access to `folder`.
+    - `lanes`: number of runs that a worker takes side by side as lanes of one program, for GPUs. Each worker
+      gets a group of runs, of which those that end make room for the others, and tells them when the group
+      ends. Lanes take the two-level solver by default.
+    - `max_seconds`: wall time of each run, without compile time, after which it ends with the result
+      "budget"; a repeated call resumes it.
+    - `tell`: called with name and result of each run as it ends.
 
     **Returns:** a table with one row for each run: the options in which runs differ, such as thickness, and
     the numbers of its `summary.json`, such as crease_length and energy.bending. The file `campaign.csv`
     also has the runs of earlier campaigns in the folder, and is written even if this call is interrupted.
 
     **Raises:** ValueError, before any run starts, for a name that no folder can have, a folder that holds
-    another run, a value that is no configuration, or a run that cannot be built; `WorkersLostError` if all
+    another run, a value that is no configuration, a run that cannot be built, or
+    `lanes` of a solver that takes one sheet at a time; `WorkersLostError` if all
     workers or their scheduler are lost.
     """
     require_limit("max_seconds", max_seconds)
+    require_lanes(lanes)
     place = Path(folder).absolute()
     _check_runs(runs, place)
-    summaries = {name: _ended(place / name) for name in runs}
+    if lanes > 1:
+        for name, config in runs.items():
+            with blamed(name):
+                lane_solver(config)
+    summaries = {name: ended_summary(place / name) for name in runs}
     for name, summary in summaries.items():
         if summary:
             tell(name, summary["result"])
@@ -71,7 +93,7 @@ def campaign(
             require_config(runs[missing[0]], local_workers(cluster, len(missing)))
             with connected(cluster, len(missing)) as client:
                 for name, summary in _done(
-                    client, {name: runs[name] for name in missing}, place, max_seconds
+                    client, {name: runs[name] for name in missing}, place, max_seconds, lanes
                 ):
                     summaries[name] = summary
                     tell(name, summary["result"])
@@ -85,7 +107,7 @@ def _write_table(
 ) -> None:
     """Write the table of all ended runs in the folder."""
     others = {path.parent.name: path.parent for path in sorted(place.glob("*/summary.json"))}
-    earlier = {name: _summary(path) for name, path in others.items() if not summaries.get(name)}
+    earlier = {name: summary_of(path) for name, path in others.items() if not summaries.get(name)}
     ended = {name: summary for name, summary in {**summaries, **earlier}.items() if summary}
     if ended:
         known = {name: runs.get(name) or stored_config(RunDirectory.open(others[name])) for name in ended}
@@ -96,7 +118,7 @@ def _table(runs: Mapping[str, RunConfig], summaries: Mapping[str, Mapping[str, A
     """Return a table with one row for each run: the options in which runs differ, then its summary."""
     index = pd.Index(list(summaries), name="run")
     rows = pd.json_normalize(list(summaries.values())).set_index(index)
-    options = pd.DataFrame([_flat(runs[name]) for name in summaries], index=index)
+    options = pd.DataFrame([flat_options(runs[name]) for name in summaries], index=index)
     differ = options.astype(str).nunique() > 1
     varied = options.loc[:, differ].rename(columns=lambda name: name.rpartition(".")[2])
     return varied[varied.columns.difference(rows.columns, sort=False)].join(rows)
@@ -125,67 +147,39 @@ def _check_runs(runs: Mapping[str, RunConfig], place: Path) -> None:
     for name, config in runs.items():
         # A damaged run does not stop the others; the table holds its message.
         with suppress(RunDirectoryError) if is_run(place / name) else nullcontext():
-            _check_same(name, config, place / name)
+            check_same(name, config, place / name)
 
 
 def _done(
-    client: Client, runs: Mapping[str, RunConfig], place: Path, limit: float | None
+    client: Client, runs: Mapping[str, RunConfig], place: Path, limit: float | None, lanes: int
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield names and summaries of runs as they end."""
+    """Yield names and summaries of runs as they end, or as their group ends."""
     names = list(runs)
     for _, future in run_all(client, _check, [(name, runs[name]) for name in names]):
         future.result()
-    for index, future in run_all(client, run_missing, [(runs[name], place / name, limit) for name in names]):
+    groups = _groups(names, lanes, len(client.scheduler_info(n_workers=-1)["workers"]))
+    jobs: list[Any] = [({place / name: runs[name] for name in group}, lanes, limit) for group in groups]
+    for index, future in run_all(client, _run_group, jobs):
         error = future.exception()
         broken = {"result": "error", "message": f"{type(error).__name__}: {error}"}
-        yield names[index], future.result() if error is None else broken
+        summaries = [broken] * len(groups[index]) if error is not None else future.result()
+        yield from zip(groups[index], summaries, strict=True)
 
 
-def run_missing(config: RunConfig, folder: Path, max_seconds: float | None = None) -> dict[str, Any]:
-    """Start, resume or read a run, as its folder requires, and return its summary.
-
-    This waits for any other process that writes into the folder.
-    """
-    if not is_run(folder):
-        make_folder(folder)
-    with writing(folder, wait=True):
-        if not is_run(folder):
-            return start_run(config, folder, max_seconds=max_seconds)
-        _check_same(folder.name, config, folder)
-        return _ended(folder) or resume_run(folder, max_seconds=max_seconds)
+def _groups(names: list[str], lanes: int, workers: int) -> list[list[str]]:
+    """Divide runs into jobs of the workers: single runs, or batches in which some wait for free lanes."""
+    if lanes == 1:
+        return [[name] for name in names]
+    size = min(WAITING * lanes, max(lanes, -(-len(names) // max(1, workers))))
+    count = -(-len(names) // size)
+    # Neighbours in the list differ in the option that varies fastest; each job has some of all values.
+    return [names[first::count] for first in range(count)]
 
 
-def _ended(folder: Path) -> dict[str, Any]:
-    """Return the summary of an ended run; empty for an unfinished run and for the result "budget"."""
-    summary = _summary(folder)
-    return {} if summary.get("result") == BUDGET else summary
-
-
-def _summary(folder: Path) -> dict[str, Any]:
-    """Return the summary of an ended run; empty if it is unfinished or its folder is damaged."""
-    try:
-        return RunDirectory.open(folder).read_summary() if is_run(folder) else {}
-    except RunDirectoryError:
-        return {}
-
-
-def _check_same(name: str, config: RunConfig, folder: Path) -> None:
-    if not is_run(folder):
-        RunDirectory.check_free(folder)
-        return
-    stored = stored_config(RunDirectory.open(folder))
-    if stored != config:
-        here, asked = (_flat(one) for one in (stored, config))
-        option = next(key for key in {**here, **asked} if here.get(key) != asked.get(key))
-        raise ConfigError(
-            f"{folder} holds a run with {option} = {here.get(option)!r}, but {name!r} asks for "
-            f"{asked.get(option)!r}; choose another folder or name."
-        )
-
-
-def _flat(config: RunConfig) -> dict[str, Any]:
-    """Return all options by name."""
-    return pd.json_normalize(config.model_dump()).iloc[0].to_dict()
+def _run_group(runs: dict[Path, RunConfig], lanes: int, limit: float | None) -> list[dict[str, Any]]:
+    if lanes > 1:
+        return run_missing_as_lanes(runs, lanes, limit)
+    return [run_missing(config, folder, limit) for folder, config in runs.items()]
 
 
 def _check(name: str, config: RunConfig) -> None:

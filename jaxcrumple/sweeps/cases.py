@@ -72,12 +72,33 @@ def named(values: Mapping[str, Any]) -> str:
     return ",".join(f"{key}={'none' if value is None else value}" for key, value in values.items())
 
 
-def checked_grid(over: Mapping[str, Iterable[Any]], settings: Mapping[str, Any]) -> Grid:
+# Seeds of the random meshes: how many, from 0 on, or which ones.
+Seeds = Any
+
+
+def with_seeds(over: Mapping[str, Iterable[Any]], seeds: Seeds) -> Mapping[str, Iterable[Any]]:
+    """Return a grid that also varies the seed, over `seeds`.
+
+    **Raises:** ValueError for a number of seeds below 1, or seeds that are in `over`, too.
+    """
+    if seeds is None or not isinstance(over, Mapping):
+        return over
+    if "seed" in over:
+        raise ValueError("the seed is given in over and by seeds; leave one out.")
+    if isinstance(seeds, Iterable):
+        return {**over, "seed": seeds}
+    if not isinstance(seeds, int | np.integer) or isinstance(seeds, bool) or seeds < 1:
+        raise ValueError(f"seeds = {seeds!r} must be a number of seeds, at least 1, or a list of them.")
+    return {**over, "seed": range(seeds)}
+
+
+def checked_grid(over: Mapping[str, Iterable[Any]], settings: Mapping[str, Any], seeds: Seeds = None) -> Grid:
     """Return the values of each name as a list.
 
     **Raises:** ValueError for a grid without names, a name that is also in `settings`, a name without values,
     a repeated value, or a value that is neither a number nor a word.
     """
+    over = with_seeds(over, seeds)
     for name, given in (("over", over), ("settings", settings)):
         if not isinstance(given, Mapping):
             raise ValueError(f"{name} must be a dictionary by name, not {type(given).__name__}.")
@@ -121,17 +142,18 @@ def grid(
     over: Mapping[str, Iterable[Any]],
     settings: Mapping[str, Any] | None = None,
     *,
+    seeds: Seeds = None,
     t_end: float | None = None,
 ) -> dict[str, RunConfig]:
     """Configure a named scene for every combination of option values; return configurations for `campaign`.
 
     **Arguments:** `over`: lists of values by name, of any option of scene, material or solver, of `frames`,
-    `nodes` and `seed`; `settings`: common values of all runs; `t_end`: end time in s, by default that of the
-    scene.
+    `nodes` and `seed`; `settings`: common values of all runs; `seeds`: number of seeds, from 0 on, or a list
+    of them; `t_end`: end time in s, by default that of the scene.
 
     **Raises:** ValueError for an unknown name or an impossible value.
 
-    >>> runs = jc.grid("radial", {"thickness": ["0.1 mm", "0.2 mm"], "seed": [0, 1]}, {"nodes": 100})
+    >>> runs = jc.grid("radial", {"thickness": ["0.1 mm", "0.2 mm"]}, {"nodes": 100}, seeds=2)
     >>> len(runs), next(iter(runs))
     (4, 'thickness=0.1 mm,seed=0')
     """
@@ -140,7 +162,7 @@ def grid(
             f"scene must be the name of a scene, not {type(scene).__name__}; `sweep` accepts functions."
         )
     settings = {} if settings is None else settings
-    combinations = product(checked_grid(over, settings))
+    combinations = product(checked_grid(over, settings, seeds))
     configs = _configurations(scene, combinations, settings, t_end)
     return {named(values): config for values, config in zip(combinations, configs, strict=True)}
 

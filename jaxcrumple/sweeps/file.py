@@ -10,11 +10,13 @@ from jaxcrumple.options.units import TIME
 from jaxcrumple.options.validation import ConfigError, validated
 from jaxcrumple.run.config import Options, unit_named
 from jaxcrumple.scenes.functions import scene_entry
+from jaxcrumple.sweeps.cases import checked_grid
 
 
 class SweepFile(Options):
     """A grid of a named scene: `over` holds the varied options, `settings` the common ones.
 
+    `seeds`: number of seeds of the random meshes, or a list of them, over which each case is repeated.
     `t_end`: end time in s, by default that of the scene. `frames`: number of evenly spaced times at which a
     sweep measures, by default only the end; a campaign saves this number of frames and the start, by default
     as many as a run. `max_seconds`: wall time of each case in s, after which it ends with the result
@@ -22,7 +24,8 @@ class SweepFile(Options):
     """
 
     scene: str
-    over: dict[str, list[Any]]
+    over: dict[str, list[Any]] = Field(default_factory=dict)
+    seeds: int | list[int] | None = None
     settings: dict[str, Any] = Field(default_factory=dict)
     t_end: Annotated[float | None, TIME] = Field(None, gt=0, allow_inf_nan=False)
     frames: int | None = Field(None, ge=1, le=100_000)
@@ -35,7 +38,7 @@ class SweepFile(Options):
 
 
 def read_sweep(path: str | Path) -> SweepFile:
-    """Read a file of `scene`, `t_end`, `frames`, `max_seconds`, and tables `settings` and `over`.
+    """Read a file of `scene`, `seeds`, `t_end`, `frames`, `max_seconds`, and tables `settings` and `over`.
 
     The word none means None. Numbers are in SI units; strings may carry a unit.
 
@@ -45,11 +48,12 @@ def read_sweep(path: str | Path) -> SweepFile:
     try:
         found = validated(SweepFile, values)
         scene_entry(found.scene)
-        for name in ("frames", "t_end", "max_seconds"):
+        for name in ("seeds", "frames", "t_end", "max_seconds"):
             if name in found.settings or name in found.over:
                 raise ConfigError(f"{name} is the same for all: give it at the top, before the tables.")
         over = {name: _in_si(found.scene, name, values) for name, values in found.over.items()}
-    except ConfigError as error:
+        over = checked_grid(over, found.settings, found.seeds)
+    except ValueError as error:
         raise ConfigError(f"{path}: {error}") from error
     return found.model_copy(update={"over": over})
 

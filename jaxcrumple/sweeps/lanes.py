@@ -11,9 +11,10 @@ from jax.sharding import Mesh as DeviceMesh
 from jax.sharding import NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Real
 
-from jaxcrumple._jax.arrays import Scalar
+from jaxcrumple._jax.arrays import Count, Scalar
 from jaxcrumple.scene import Scene, with_lists
 from jaxcrumple.solvers.integrate import integrate
+from jaxcrumple.solvers.log import Log
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import State
 
@@ -37,39 +38,21 @@ def stacked(trees: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
 
 
-def lane(tree: Any, index: int) -> Any:
+def lane_of(tree: Any, index: int) -> Any:
     """Return one lane of stacked arrays."""
     return jax.tree.map(lambda leaf: leaf[index], tree)
 
 
-def differing(inputs: Sequence[Inputs]) -> Inputs:
-    """Return a tree of booleans: whether lanes differ in an array.
-
-    **Raises:** ValueError if lanes differ in structure or array sizes.
-    """
-    arrays, static = zip(*(eqx.partition(pair, eqx.is_array) for pair in inputs), strict=True)
-    for other, rest in zip(arrays, static, strict=True):
-        difference = _difference(arrays[0], other)
-        if difference or not eqx.tree_equal(rest, static[0]):
-            raise ValueError(
-                "the members of a batch must be of one kind, with the same numbers of nodes, edges and "
-                f"hinges, scheme and contact_level{difference}; split the sweep, or choose "
-                "backend='processes'."
-            )
-    return jax.tree.map(lambda first, *rest: any(not _same(first, one) for one in rest), *arrays)
-
-
-def _difference(one: Inputs, other: Inputs) -> str:
-    """Describe the first array whose size differs."""
-    sizes = [
-        {jax.tree_util.keystr(path): leaf.shape for path, leaf in jax.tree_util.tree_leaves_with_path(tree)}
-        for tree in (one, other)
-    ]
-    for name in [*sizes[0], *sizes[1]]:
-        first, second = (these.get(name) for these in sizes)
-        if first != second:
-            return f" (scene{name.removeprefix('[0]')} has sizes {first} and {second})"
-    return ""
+def differing(inputs: Sequence[Inputs], known: Inputs | None = None) -> Inputs:
+    """Return a tree of booleans: whether lanes of one kind differ in an array, or differed as `known`."""
+    arrays = [eqx.filter(pair, eqx.is_array) for pair in inputs]
+    mask = jax.tree.map(lambda first, *rest: any(not _same(first, one) for one in rest), *arrays)
+    if known is None:
+        return mask
+    leaves, tree = jax.tree.flatten(mask)
+    # The size of the coarse space, which may have grown, is part of the structure.
+    both = [now or before for now, before in zip(leaves, jax.tree.leaves(known), strict=True)]
+    return jax.tree.unflatten(tree, both)
 
 
 def _same(one: Any, other: Any) -> bool:
@@ -81,12 +64,11 @@ def lanes_of(inputs: Sequence[Inputs], mask: Inputs, devices: DeviceMesh) -> Lan
 
     Every lane has contact lists of its own.
     """
-    lists = jax.tree.map(lambda _: True, eqx.filter(inputs[0][0].lists, eqx.is_array))
-    mask = with_lists(mask[0], lists), mask[1]
-    own = [eqx.filter(eqx.filter(pair, eqx.is_array), mask) for pair in inputs]
+    own = [own_of(pair, mask) for pair in inputs]
     arrays, static = eqx.partition(inputs[0], eqx.is_array)
     everywhere = NamedSharding(devices, PartitionSpec())
-    shared = jax.device_put(eqx.filter(arrays, mask, inverse=True), everywhere)
+    common = eqx.filter(arrays, _with_lists(mask, inputs[0]), inverse=True)
+    shared = jax.device_put(common, everywhere)
     return Lanes(spread(stacked(own), devices), eqx.combine(shared, static))
 
 
@@ -100,21 +82,44 @@ def best_side_by_side(device: jax.Device) -> bool:
     return device.platform != "cpu"
 
 
+@eqx.filter_jit(donate="all-except-first")
+def _placed(one: Any, lanes: Any, index: Count) -> Any:
+    return jax.tree.map(lambda all_, own: all_.at[index].set(own), lanes, one)
+
+
+def placed(tree: Any, index: int, one: Any, devices: DeviceMesh) -> Any:
+    """Return stacked arrays with those of `one` in the lane `index`."""
+    return spread(_placed(one, tree, jnp.asarray(index)), devices)
+
+
+def own_of(pair: Inputs, mask: Inputs) -> Inputs:
+    """Return the arrays of a lane that `mask` marks, and its contact lists."""
+    return eqx.filter(eqx.filter(pair, eqx.is_array), _with_lists(mask, pair))
+
+
+def _with_lists(mask: Inputs, pair: Inputs) -> Inputs:
+    """Return the mask with the contact lists of a lane, of which every lane has its own."""
+    lists = jax.tree.map(lambda _: True, eqx.filter(pair[0].lists, eqx.is_array))
+    return with_lists(mask[0], lists), mask[1]
+
+
 @eqx.filter_jit
-def advance(lanes: Lanes, moving: Moving, devices: DeviceMesh, side_by_side: bool) -> State:
+def advance(
+    lanes: Lanes, moving: Moving, devices: DeviceMesh, side_by_side: bool, trail: int
+) -> tuple[State, Log]:
     """Call `integrate` once for each lane.
 
     **Arguments:** `moving`: states, stop times (lanes,) in s, and remaining attempts (lanes,); `devices`:
     each advances its part of the lanes independently of the others; `side_by_side`: whether a device
-    vectorises its lanes or advances them one after another.
+    vectorises its lanes or advances them one after another; `trail`: as of `integrate`.
     """
     shared, static = eqx.partition(lanes.shared, eqx.is_array)
 
-    def part(own: Any, moving: Moving, shared: Any) -> State:
-        def one(lane: tuple[Any, State, Scalar, Real[Array, ""]]) -> State:
+    def part(own: Any, moving: Moving, shared: Any) -> tuple[State, Log]:
+        def one(lane: tuple[Any, State, Scalar, Real[Array, ""]]) -> tuple[State, Log]:
             own, state, stop, left = lane
             scene, solver = eqx.combine(own, shared, static)
-            return integrate(scene, state, stop, solver, left)[0]
+            return integrate(scene, state, stop, solver, left, trail)
 
         lanes = (own, *moving)
         return jax.vmap(one)(lanes) if side_by_side else jax.lax.map(one, lanes)

@@ -5,31 +5,15 @@ from typing import Any
 
 import jax
 import numpy as np
-import pandas as pd
 from jaxtyping import Float
 
 from jaxcrumple.simulation import simulate
 from jaxcrumple.solvers.start import check_start
-from jaxcrumple.state import State, initial_state
+from jaxcrumple.state import initial_state
 from jaxcrumple.sweeps.cases import Case, Limits, blamed
 from jaxcrumple.sweeps.cluster import Cluster, connected, run_all
 from jaxcrumple.sweeps.errors import WorkersLostError
 from jaxcrumple.sweeps.table import Frames, Measure, Outcome, Tell, broken
-
-
-class _Observer:
-    """Measure every frame of a run; stop the run if the measurement fails."""
-
-    def __init__(self, frames: Frames):
-        self.frames = frames
-
-    def frame(self, index: int, state: State) -> None:
-        if not self.frames.take(state):
-            assert self.frames.error is not None
-            raise self.frames.error
-
-    def chunk(self, state: State, history: pd.DataFrame, events: pd.DataFrame, frames: int) -> None:
-        pass
 
 
 def run_case(case: Case, times: Float[np.ndarray, " times"], measure: Measure, limits: Limits) -> Outcome:
@@ -43,13 +27,13 @@ def run_case(case: Case, times: Float[np.ndarray, " times"], measure: Measure, l
             state,
             times,
             solver=case.solver,
-            observers=[_Observer(frames)],
+            observers=[frames],
             max_attempts=None if np.isinf(limits.attempts) else int(limits.attempts),
             max_seconds=limits.seconds,
         )
     except Exception as error:
         return broken(error, frames.found)
-    return frames.outcome(solution.result, jax.device_get(solution.state))
+    return Outcome(solution.result, frames.found, jax.device_get(solution.state))
 
 
 def run_processes(

@@ -1,9 +1,10 @@
-"""Give scenes of different meshes equal array sizes, so that one program runs them as lanes."""
+"""Size classes: arrays of equal sizes for sheets whose random meshes differ, so that one program fits all."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Hashable, Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 
 from jaxcrumple.scene import Scene
 
@@ -40,6 +41,21 @@ class SizeClass(NamedTuple):
             return scene
         fans = scene.contact.fans.padded(self.around, self.ways)
         return eqx.tree_at(lambda s: s.contact.fans, scene, fans)
+
+
+def kind_of(scene: Scene, other: Any) -> Hashable:
+    """Return what scenes without lists share if one size class holds them; `other`: a tree to share, too."""
+    pattern = scene.pattern
+    own = [pattern.indices, pattern.rows, pattern.entry_places, pattern.neighbors, pattern.row_entries]
+    own += [] if scene.contact is None else jax.tree.leaves(scene.contact.fans)
+    free = set(map(id, own))
+    scene = eqx.tree_at(lambda s: s.pattern.coarse, scene, None)
+    leaves, tree = jax.tree.flatten((scene, other))
+    return tree, tuple(None if id(leaf) in free else _shape(leaf) for leaf in leaves)
+
+
+def _shape(leaf: Any) -> Hashable:
+    return (leaf.shape, str(leaf.dtype)) if eqx.is_array(leaf) else leaf
 
 
 def _sizes(scene: Scene) -> SizeClass:

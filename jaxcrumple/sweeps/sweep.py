@@ -16,8 +16,9 @@ from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.simulation import Times, checked_times
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import initial_state
-from jaxcrumple.sweeps.batch import run_batch
-from jaxcrumple.sweeps.cases import Case, Grid, Limits, Scenes, cases_of, checked_grid
+from jaxcrumple.sweeps.batch import LANES, require_lanes
+from jaxcrumple.sweeps.case_members import run_cases
+from jaxcrumple.sweeps.cases import Case, Grid, Limits, Scenes, Seeds, cases_of, checked_grid
 from jaxcrumple.sweeps.cluster import Cluster, local_workers
 from jaxcrumple.sweeps.processes import run_processes
 from jaxcrumple.sweeps.table import Measure, Tell, check_names, measured, standard_measure, table
@@ -32,11 +33,13 @@ def sweep(
     times: Times,
     *,
     settings: Mapping[str, Any] | None = None,
+    seeds: Seeds = None,
     solver: Integrator | None = None,
     measure: Measure = standard_measure,
     backend: Backend = "auto",
     cluster: Cluster = None,
     devices: Sequence[jax.Device] | None = None,
+    lanes: int = LANES,
     max_attempts: int | None = None,
     max_seconds: float | None = None,
     tell: Tell = lambda name, result: None,
@@ -50,18 +53,21 @@ def sweep(
       solver, `nodes` and `seed`.
     - `times`: increasing times in s at which to measure, or only the end time.
     - `settings`: common values of all cases, by name as in `over`.
+    - `seeds`: number of seeds of the random meshes, from 0 on, or a list of them, as a last name of `over`.
     - `solver`: integrator for a scene that is a function, by default `integrator()`.
     - `measure`: function of the case's `Setup` and a `State`; it returns by name numbers, pairs of dimensions
       and array, or DataArrays. By default: energies, crease length, strains and contacts. `sweep` tests it on
       the start of the first case before any case runs.
     - `backend`: "batch": all cases are lanes of one program on the `devices` (by default all of the default
-      kind); this requires a linear solver that supports batches. "processes": each case is a run in a worker
+      kind), and cases of other node numbers or contact levels follow; this requires a linear solver that
+      supports batches. "processes": each case is a run in a worker
       process. "auto": "batch" if `devices` are given, or if JAX has an accelerator and no `cluster` is given;
       else "processes".
     - `cluster`: for the workers: a Dask cluster, a Dask client or the address of a scheduler; by default
       workers on this machine, one per core.
+    - `lanes`: most cases side by side in a batch; the others wait, and take the places of those that ended.
     - `max_attempts`, `max_seconds`: step attempts, and wall time in s without compile time, after which a
-      case ends with the result "budget". The lanes of a batch share the wall time.
+      case ends with the result "budget". The wall time of a lane is that of the calls in which it took part.
     - `tell`: callback, called with name and result of each case as it ends.
 
     **Returns:** an xarray Dataset over the names in `over`, with `result`, `t_reached`, `steps` and counters
@@ -75,6 +81,7 @@ def sweep(
     if max_attempts is not None and max_attempts < 1:
         raise ValueError(f"max_attempts = {max_attempts!r} must be at least 1.")
     require_limit("max_seconds", max_seconds)
+    require_lanes(lanes)
     limits = Limits(
         np.inf if max_attempts is None else max_attempts,
         np.inf if max_seconds is None else max_seconds,
@@ -82,13 +89,13 @@ def sweep(
     stops = checked_times(times)
     linear = "two-level" if backend == "batch" else "auto"
     settings = {} if settings is None else settings
-    grid = checked_grid(over, settings)
+    grid = checked_grid(over, settings, seeds)
     cases = cases_of(scene, grid, settings, float(stops[-1]), solver, linear)
     first = _try(cases[0], grid, measure)
     start = time.perf_counter()
     if backend == "batch":
         place = jax.devices() if devices is None else devices
-        outcomes = run_batch(cases, stops, measure, limits, place, tell)
+        outcomes = run_cases(cases, stops, measure, limits, place, lanes, tell)
     else:
         workers = local_workers(cluster, len(cases))
         require_run(first.scene.n_nodes, len(stops), first.scene.contact is not None, workers)

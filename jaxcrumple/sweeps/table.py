@@ -54,26 +54,21 @@ def broken(error: BaseException, frames: Sequence[xr.Dataset] = (), state: State
 
 
 class Frames:
-    """Measure the frames of a running case; `found` holds the values so far."""
+    """An observer that measures the frames of a case; `found` holds the values so far.
+
+    A measurement that raises ends the case, whose outcome then tells the exception.
+    """
 
     def __init__(self, measure: Measure, setup: Setup):
         self.measure, self.setup = measure, setup
         self.found: list[xr.Dataset] = []
-        self.error: Exception | None = None
 
-    def take(self, state: State) -> bool:
-        """Measure a state; return whether the measurement succeeded."""
-        try:
-            self.found.append(measured(self.measure, self.setup, state))
-        except Exception as error:
-            self.error = error
-        return self.error is None
+    def frame(self, index: int, state: State) -> None:
+        """Measure a frame."""
+        self.found.append(measured(self.measure, self.setup, state))
 
-    def outcome(self, result: str, state: State | None = None) -> Outcome:
-        """Return the outcome of the case, whose run ended with this result."""
-        if self.error is None:
-            return Outcome(result, self.found, state)
-        return broken(self.error, self.found, state)
+    def chunk(self, state: State, history: pd.DataFrame, events: pd.DataFrame, frames: int) -> None:
+        """Ignore steps."""
 
 
 def standard_measure(setup: Setup, state: State) -> dict[str, Any]:

@@ -82,7 +82,7 @@ def test_summary_tells_the_run(finished):
     for name in ("compile_s", "run_s", "cpu_s"):
         assert 0 < summary[name] < 300, name
     assert 100 < summary["peak_memory_mb"] < 10_000
-    assert summary["versions"]["jax"] == jaxcrumple.run.run.importlib.metadata.version("jax")
+    assert summary["versions"]["jax"] == jaxcrumple.run.begun.importlib.metadata.version("jax")
 
 
 def test_run_is_read_back(finished):

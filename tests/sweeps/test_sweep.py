@@ -111,11 +111,11 @@ def test_a_budget_ends_lanes(swept):
 
 
 def test_a_limit_of_wall_time_ends_lanes(swept):
-    """Looked at after each call of their program, of which the first compiles and is not counted."""
+    """Looked at after each call of their program; compiling does not count."""
     del swept  # It has compiled the program.
     table = batch(max_seconds=0.0)
-    assert np.all(table.result == "budget") and np.all(table.t_reached < TIMES[-1])
-    assert np.all(np.isfinite(table.height.isel(time=0))) and np.all(np.isnan(table.height.isel(time=1)))
+    assert np.all(table.result == "budget")
+    assert np.all(table.t_reached > 0.0) and np.all(table.t_reached < TIMES[-1])
 
 
 @pytest.fixture(scope="module")

@@ -240,6 +240,18 @@ def batch_with_contacts(scenes: Sequence[Scene], states: Sequence[State]) -> lis
         needed = np.zeros_like(needed)
 
 
+def joined_with_contacts(scene: Scene, state: State, like: Scene) -> Scene:
+    """Build the contact lists of a scene that joins a batch, with at least the capacities of `like`.
+
+    A scene without contact is returned unchanged.
+    """
+    if scene.contact is None:
+        return scene
+    *capacity, candidates = _sizes(like)
+    scene = _with_sizes(scene, Capacity(*capacity), candidates)
+    return _listed(scene, _listing(state), np.zeros(4, int), merged=False)
+
+
 def _listing(state: State) -> Listing:
     assert state.listing is not None
     return state.listing
