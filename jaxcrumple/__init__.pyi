@@ -38,6 +38,7 @@ from .plot.picture import picture
 from .plot.polydata import polydata
 from .replays.record import Record
 from .replays.replay import Replay, replay
+from .replays.stack import stack_records
 from .run.config import configure
 from .run.run import resume_run, start_run
 from .run.scene_file import read_scene_file, write_scene_file
@@ -174,6 +175,7 @@ __all__ = [
     "shell",
     "simulate",
     "simulate_batch",
+    "stack_records",
     "stamping",
     "start_run",
     "sweep",

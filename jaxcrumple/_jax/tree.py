@@ -127,3 +127,17 @@ def shown(value: Any) -> str:
 def select(keep: Flag, new: Any, old: Any) -> Any:
     """Select the leaves of the tree `new` where `keep`, else those of `old`."""
     return jax.tree.map(lambda a, b: jnp.where(keep, a, b), new, old)
+
+
+def size_difference(one: Any, other: Any) -> str:
+    """Describe the first array whose size differs between two dictionaries of trees; "" if none does."""
+    sizes = [
+        {path: np.shape(leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(tree)}
+        for tree in (one, other)
+    ]
+    for path in [*sizes[0], *sizes[1]]:
+        first, second = (these.get(path) for these in sizes)
+        if first != second:
+            name = f"{path[0].key}{jax.tree_util.keystr(path[1:])}"
+            return f"{name} has sizes {first} and {second}"
+    return ""

@@ -52,6 +52,8 @@ class Steps(eqx.Module):
 class Record(eqx.Module):
     """Hold the accepted steps of a run; `simulate(..., record=True)` builds it for `replay`.
 
+    `stack_records` stacks those of several runs: all arrays then have a leading axis (lanes,).
+
     - `scene` of the run, and its first state `start`; `t` (f,) in s: times of the frames.
     - `steps`: sizes, orders, stages and positions of all steps; `stages` that occur in them.
     - `lists`: contact lists of each stretch of steps, or None without contact.
@@ -93,10 +95,13 @@ class StepRecorder:
         return eqx.tree_at(lambda s: s.implicit.newton_share, solver, jnp.asarray(RECORDED_SHARE))
 
     def extend(self, trail: Trail | None) -> None:
-        """Append the steps of one call; warn once if the record exceeds the memory."""
+        """Append the steps of one call; warn once if the record exceeds the memory.
+
+        For a lane of a batch, give the trail of that lane, in arrays of JAX or NumPy."""
         assert trail is not None
         length = int(trail.length)
-        self.trails.append([np.asarray(part[:length]) for part in trail[:-1]])
+        # On the host, because JAX compiles a slice for every length; copied, to let the rest of the trail go.
+        self.trails.append([np.array(np.asarray(part)[:length]) for part in trail[:-1]])
         self.held += sum(part.nbytes for part in self.trails[-1])
         if self.held and not self.warned and times_that_fit(COPIES * self.held) < 1.0:
             self.warned = True

@@ -60,7 +60,7 @@ def replay(
     **Arguments:**
 
     - `scene`: the scene of the run, or one of the same mesh and terms with other numbers.
-    - `record`: of `simulate(..., record=True)`.
+    - `record`: of `simulate(..., record=True)`, or inside `jax.vmap` a lane of `stack_records`.
     - `start`: first state; by default that of the run.
     - `solve`: solve each step again, to rounding. If False, `scene` and `start` must be those of the run,
       and positions are the recorded ones. Derivatives then cost less, and also exist if errors grow so fast
@@ -70,7 +70,8 @@ def replay(
 
     **Returns:** a `Replay`; after a run that ended early, with the frames that the run reached.
 
-    **Raises:** ValueError for an object that is not a scene or not a record, or for a state of another scene.
+    **Raises:** ValueError for an object that is not a scene or not a record, for a stack of records outside
+    `jax.vmap`, or for a state of another scene.
 
     >>> import equinox as eqx
     >>> mesh = jc.hexagonal(3, 2, 5e-3)
@@ -88,6 +89,11 @@ def replay(
         raise ValueError(
             f"record must be the record of simulate(..., record=True), not {type(record).__name__}; a run "
             "without steps has no record."
+        )
+    if record.t.ndim != 1:
+        raise ValueError(
+            f"the record is a stack of {len(record.t)} records: call replay inside jax.vmap or jax.lax.map, "
+            "with the scene of one lane."
         )
     start = record.start if start is None else start
     check_state(scene, start)
@@ -306,12 +312,13 @@ def _step(
     scene: Scene, past: Point, step: Steps, record: Record, factor: Factor | None
 ) -> tuple[Point, Scalar, Factor | None]:
     """Return the point after a step, the error of its solution, and the last factor."""
-    old = newest(past)
-    scene = in_step(scene, old.x, step.x, step.stage == EXPLICIT)
+    old, explicit = newest(past), step.stage == EXPLICIT
+    scene = in_step(scene, old.x, step.x, explicit)
 
     def implicit() -> tuple[Point, Scalar, Factor | None]:
         assert record.linear is not None and factor is not None
-        return solved(scene, _implicit(step, record), past, step.x, record.linear, factor)
+        needed = step.valid & ~explicit
+        return solved(scene, _implicit(step, record), past, step.x, record.linear, factor, needed)
 
     def explicit_step() -> tuple[Point, Scalar, Factor | None]:
         assert record.explicit is not None

@@ -96,10 +96,12 @@ def solved(
     guess: NodeVectors,
     linear: AbstractLinearSolver,
     last: Factor,
+    needed: Flag,
 ) -> tuple[Point, Scalar, Factor]:
-    """Solve a step by Newton's iteration from the positions `guess` (n, 3).
+    """Solve a step by Newton's iteration from the positions `guess` (n, 3), if it is `needed`.
 
-    The iteration starts with the factor `last` of the previous step, which suffices for a good guess.
+    The iteration starts with the factor `last` of the previous step, which suffices for a good guess. A batch
+    also calls this function for lanes that do not need it, and iterates until the others have converged.
 
     **Returns:** the point after the step; the last update in units of the sheet's size, an upper bound of the
     error, infinite without convergence; and the last factor."""
@@ -132,7 +134,8 @@ def solved(
         return ~carry.settled & (carry.iterations < MOST_ITERATIONS)
 
     no, start = jnp.asarray(False), step.unknown(scene, newest(past).x, guess)
-    first = _Carry(start, last, jnp.asarray(jnp.inf), no, jnp.asarray(not linear.exact), no, jnp.asarray(0))
+    renew = jnp.asarray(not linear.exact)
+    first = _Carry(start, last, jnp.asarray(jnp.inf), no, renew, ~needed, jnp.asarray(0))
     end = jax.lax.while_loop(unfinished, body, first)
     point = step.point(scene, past, end.x)
     good = end.settled & jnp.isfinite(end.update)

@@ -203,3 +203,36 @@ def test_a_second_process_does_not_trace_the_run(tmp_path):
     ]
     assert told[0][:2] == ["True", "success"]
     assert told[1] == ["False", *told[0][1:]]
+
+
+FACTOR = """
+import jax.numpy as jnp
+from jaxcrumple._jax import stored_programs as stored
+from jaxcrumple.assembly.sparsity import build_pattern
+from jaxcrumple.mesh.generate import hexagonal
+from jaxcrumple.solvers.linear.{module} import {name}
+
+stored.LONG = 0.0
+mesh, solver = hexagonal(4, 3, 1e-3), {name}()
+pattern = build_pattern(mesh.vertices, [mesh.edges])
+factor = stored.StoredJit({name}.factor, lambda solver, *_: solver.load_library())
+values = jnp.zeros(pattern.size).at[pattern.diagonal].set(2.0)
+read, identity = [], solver.start(pattern)
+stored._read = lambda path, own=stored._read: read.append(own(path)) or read[-1]
+made = factor(solver, pattern, values, identity)
+print(read[0] is not None, int(made.negative), made.values.sum())
+"""
+
+
+@pytest.mark.parametrize(("module", "name"), [("block_jacobi", "BlockCG"), ("two_level", "TwoLevel")])
+def test_a_stored_program_may_call_lapack(tmp_path, module, name):
+    """A process that has not traced anything must load it."""
+    own = {"JAX_COMPILATION_CACHE_DIR": str(tmp_path), "JAX_ENABLE_X64": "1"}
+    script = FACTOR.format(module=module, name=name)
+    told = [
+        subprocess.run(
+            [sys.executable, "-c", script], capture_output=True, text=True, check=True, env=os.environ | own
+        ).stdout.split()
+        for _ in range(2)
+    ]
+    assert told == [["False", "-1", "96.0"], ["True", "-1", "96.0"]]

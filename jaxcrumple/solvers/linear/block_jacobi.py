@@ -29,6 +29,10 @@ class BlockCG(AbstractLinearSolver):
     block_size: int = eqx.field(static=True, default=48)
     max_iterations: int = 20000
 
+    def load_library(self) -> None:
+        """Load LAPACK."""
+        load_lapack()
+
     def start(self, pattern: Pattern) -> Factor:
         """Return the blocks of the identity."""
         return Factor(identity_values(pattern), unit_blocks(pattern, self.block_size), jnp.asarray(0))
@@ -59,6 +63,13 @@ class BlockCG(AbstractLinearSolver):
             rtol,
             self.max_iterations,
         )
+
+
+def load_lapack() -> None:
+    """Load LAPACK, which JAX does when it lowers a function of it.
+
+    A stored program is not lowered, and ends the process if it calls LAPACK first."""
+    jax.jit(jax.lax.linalg.cholesky).lower(jnp.eye(1))
 
 
 def unit_blocks(pattern: Pattern, size: int, dtype: Any = float) -> Float[Array, "blocks size size"]:

@@ -19,7 +19,7 @@ from jaxcrumple._jax.arrays import Flag, Scalar
 from jaxcrumple.assembly.coarse_space import SUPPORT, WINDOW, CoarseSpace
 from jaxcrumple.assembly.sparsity import FULL, Pattern
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor, LinearSolution, identity_values
-from jaxcrumple.solvers.linear.block_jacobi import block_factors, pad_blocks, unit_blocks
+from jaxcrumple.solvers.linear.block_jacobi import block_factors, load_lapack, pad_blocks, unit_blocks
 from jaxcrumple.solvers.linear.cg import conjugate_gradients
 
 # Cells of the coarse grid whose rows are multiplied together, so that their arrays stay in the cache.
@@ -47,6 +47,10 @@ class TwoLevel(AbstractLinearSolver):
     exact: ClassVar[bool] = False
     block_size: int = eqx.field(static=True, default=48)
     max_iterations: int = 5000
+
+    def load_library(self) -> None:
+        """Load LAPACK."""
+        load_lapack()
 
     def start(self, pattern: Pattern) -> Factor:
         """Return both levels for the identity matrix."""
