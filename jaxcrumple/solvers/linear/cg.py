@@ -59,7 +59,8 @@ def conjugate_gradients(
     zero, yes = jnp.zeros_like(rhs), jnp.asarray(True)
     going = (start > goal) & (max_iterations > 0)
     init = _Carry(zero, rhs, zero, start, jnp.zeros((), rhs.dtype), yes, going, jnp.asarray(0))
-    end = jax.lax.while_loop(lambda carry: carry.going, body, init)
+    with jax.named_scope("conjugate-gradients"):
+        end = jax.lax.while_loop(lambda carry: carry.going, body, init)
     # The loop does not start with a right-hand side that is not finite: return NaN instead of zero.
     x = jnp.where(jnp.isfinite(goal), end.x, jnp.nan)
     return LinearSolution(x, end.iterations, ~end.positive | known)
