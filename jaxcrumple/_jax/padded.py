@@ -14,11 +14,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
 from jaxcrumple._jax.arrays import Count
+from jaxcrumple._jax.device import on_accelerator
 from jaxcrumple._jax.door import own_modes
 
 # Row length of the cumulative sum in `counted`, and most rows that one matrix product sums: its matrix must
 # fit in the processor's cache.
 SIDE, MOST_ROWS = 32, 256
+# Chunks of a sum that an accelerator adds at once: each round of a loop costs it some launches of kernels and
+# a message to the host, while a small chunk leaves it idle.
+AT_ONCE = 64
 
 
 def accumulate(
@@ -29,14 +33,16 @@ def accumulate(
     room: int,
     chunk: int,
 ) -> Any:
-    """Add the contributions of the first `count` entries of a list of capacity `room` to `start`.
+    """Add the contributions of the first `count` entries of a list of capacity `room` to `start`, a `chunk`
+    at a time on a CPU, and AT_ONCE as many on an accelerator.
 
     `add(total, arguments, places, held)` adds the entries at `places` (chunk,) where `held` (chunk,) is true,
     and ignores the others. Pass differentiated numbers in `arguments`; `add` must not close over them. The
     loop stops at `count`. Derivatives of any order and mode use a loop over the full capacity, which skips
     the rounds beyond `count` in groups.
     """
-    return _accumulate(start, arguments, count, add=add, room=room, chunk=min(chunk, room))
+    chunk = min(AT_ONCE * chunk if on_accelerator() else chunk, room)
+    return _accumulate(start, arguments, count, add=add, room=room, chunk=chunk)
 
 
 @eqx.filter_custom_jvp

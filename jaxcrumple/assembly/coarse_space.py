@@ -23,6 +23,7 @@ class CoarseSpace(eqx.Module):
     - `members` (c, k): nodes of each occupied cell, padded with n; `place` (n,): a node's index in the
       flattened members.
     - `functions` (c, 16), `window` (c, 36): numbers of a cell's functions; `size` outside the grid.
+    - `owners` (16, size): places in the flattened `functions` where each function stands, padded with 16 c.
     - `size`: number of functions.
     """
 
@@ -32,6 +33,7 @@ class CoarseSpace(eqx.Module):
     place: Int[Array, " nodes"]
     functions: Int[Array, "cells 16"]
     window: Int[Array, "cells 36"]
+    owners: Int[Array, "16 functions"]
     size: int = eqx.field(static=True)
 
     def emptied(self) -> "CoarseSpace":
@@ -39,21 +41,26 @@ class CoarseSpace(eqx.Module):
         none = np.zeros((0, 0), int)
         place = as_indices(np.zeros(len(self.place), int))
         functions, window = (as_indices(np.zeros((0, width**2), int)) for width in (SUPPORT, WINDOW))
-        return CoarseSpace(self.cell, self.weights, as_indices(none), place, functions, window, 0)
+        owners = as_indices(_owners(np.asarray(functions), 0))
+        return CoarseSpace(self.cell, self.weights, as_indices(none), place, functions, window, owners, 0)
 
     def padded(self, cells: int, members: int, size: int) -> "CoarseSpace":
         """Return the space with more `cells`, `members` of a cell, and `size` functions, which stay empty."""
         occupied, most = self.members.shape
         more, place = ((0, cells - occupied), (0, 0)), np.asarray(self.place)
-        functions, window = (np.where(a == self.size, size, a) for a in (self.functions, self.window))
+        functions, window = (
+            np.pad(np.where(a == self.size, size, a), more, constant_values=size)
+            for a in (self.functions, self.window)
+        )
         wide = (more[0], (0, members - most))
         return CoarseSpace(
             self.cell,
             self.weights,
             as_indices(np.pad(self.members, wide, constant_values=len(place))),
             as_indices(place // most * members + place % most),
-            as_indices(np.pad(functions, more, constant_values=size)),
-            as_indices(np.pad(window, more, constant_values=size)),
+            as_indices(functions),
+            as_indices(window),
+            as_indices(_owners(functions, size)),
             size,
         )
 
@@ -77,15 +84,17 @@ def build_coarse_space(rest: Float[np.ndarray, "nodes 3"], pairs: Int[np.ndarray
     occupied, owner = np.unique(cell[:, 0] * grid[1] + cell[:, 1], return_inverse=True)
     corner = np.stack([occupied // grid[1], occupied % grid[1]], axis=1)
     members, place = _members(owner.reshape(-1), len(occupied), len(points))
+    functions, size = _numbers(corner, 0, SUPPORT, functions_per_side), int(np.prod(functions_per_side))
 
     return CoarseSpace(
         as_indices(cell),
         as_array(weights),
         as_indices(members),
         as_indices(place),
-        as_indices(_numbers(corner, 0, SUPPORT, functions_per_side)),
+        as_indices(functions),
         as_indices(_numbers(corner, -1, WINDOW, functions_per_side)),
-        int(np.prod(functions_per_side)),
+        as_indices(_owners(functions, size)),
+        size,
     )
 
 
@@ -129,3 +138,13 @@ def _numbers(
     number = along[0][:, :, None] * sides[1] + along[1][:, None, :]
     known = inside[0][:, :, None] & inside[1][:, None, :]
     return np.where(known, number, np.prod(sides)).reshape(len(corner), -1)
+
+
+def _owners(functions: Int[np.ndarray, "cells 16"], size: int) -> Int[np.ndarray, "16 functions"]:
+    """Return the places (16, size) of each function in the flattened `functions`, padded with 16 c."""
+    flat = functions.reshape(-1)
+    order = np.argsort(flat, kind="stable")[: np.sum(flat < size)]
+    numbers = flat[order]
+    owners = np.full((SUPPORT**2, size), flat.size)
+    owners[np.arange(len(order)) - np.searchsorted(numbers, numbers), numbers] = order
+    return owners

@@ -12,6 +12,7 @@ import scipy.sparse as sparse
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxcrumple._jax.arrays import Count, Flag, NodeValues, NodeVectors
+from jaxcrumple._jax.device import on_accelerator
 from jaxcrumple._jax.padded import accumulate
 from jaxcrumple.contact.lists import MatrixPairs, SitePairs, pair_key
 
@@ -61,13 +62,15 @@ class ContactBlocks(eqx.Module):
         ) -> NodeVectors:
             contact, blocks, points = arguments
             blocks, nodes = _kept(blocks[at], held), contact.nodes[at]
-            one, two = nodes[:, :3], nodes[:, 3:]
-            first = jnp.einsum("tijab,tjb->tia", blocks, points[two])
-            second = jnp.einsum("tijab,tia->tjb", blocks, points[one])
-            return total.at[one].add(first).at[two].add(second)
+            first = jnp.einsum("tijab,tjb->tia", blocks, points[nodes[:, 3:]])
+            second = jnp.einsum("tijab,tia->tjb", blocks, points[nodes[:, :3]])
+            return total.at[nodes].add(jnp.concatenate([first, second], axis=1))
 
         points, room = x.reshape(-1, 3), self.triangles.shape[0]
         arguments = (self, self._blocks(appended), points)
+        if on_accelerator():
+            every = jnp.arange(room)
+            return add(jnp.zeros_like(points), arguments, every, every < self.count).reshape(-1)
         return accumulate(add, jnp.zeros_like(points), arguments, self.count, room, CHUNK).reshape(-1)
 
     def free(

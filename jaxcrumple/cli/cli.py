@@ -20,6 +20,7 @@ from jaxcrumple.cli.console import (
     say,
 )
 from jaxcrumple.cli.dataset import dataset
+from jaxcrumple.cli.device import Device, use_device
 from jaxcrumple.cli.figures import figure
 from jaxcrumple.cli.help import explain, report
 from jaxcrumple.cli.outcome import tell_case, tell_ensemble, tell_next, tell_outcome
@@ -96,8 +97,10 @@ def run(
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out.")] = False,
     max_seconds: Limit = None,
+    device: Device = None,
 ) -> None:
     """Run a scene and write its trajectory, tables, checkpoint, summary and pictures to a folder."""
+    use_device(device)
     folder, limit = out or Path("runs") / Path(scene.rpartition(":")[2]).stem, _seconds(max_seconds)
     given = {"nodes": nodes, "t_end": t_end, "seed": seed}
     asked: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
@@ -247,8 +250,10 @@ def sweep(
     scheduler: SchedulerAddress = None,
     lanes: Lanes = None,
     max_seconds: Limit = None,
+    device: Device = None,
 ) -> None:
     """Run a scene over a grid of option values, and write all results to one netCDF file."""
+    use_device(device, scheduler)
     from jaxcrumple.io.atomic import write_bytes
     from jaxcrumple.simulation import frame_times
     from jaxcrumple.sweeps.batch import LANES
@@ -285,8 +290,10 @@ def campaign(
     scheduler: SchedulerAddress = None,
     lanes: Lanes = None,
     max_seconds: Limit = None,
+    device: Device = None,
 ) -> None:
     """Run a scene over a grid, one resumable run folder per case; run again to complete the missing ones."""
+    use_device(device, scheduler)
     from jaxcrumple.sweeps.campaign import campaign
     from jaxcrumple.sweeps.cases import grid
     from jaxcrumple.sweeps.file import read_sweep

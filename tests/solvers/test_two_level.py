@@ -21,8 +21,10 @@ from jaxcrumple import (
     sheet,
     with_contacts,
 )
+from jaxcrumple.assembly import contact_blocks
 from jaxcrumple.assembly.coarse_space import build_coarse_space
 from jaxcrumple.geometry.hinge import curvature
+from jaxcrumple.solvers.linear import two_level
 from jaxcrumple.solvers.linear.block_jacobi import BlockCG
 from jaxcrumple.solvers.linear.two_level import TwoLevel, coarse_matrix
 from jaxcrumple.system import elastic_tangent
@@ -113,6 +115,35 @@ def test_few_iterations_on_every_mesh(kind):
     assert residual < 1.1e-6
     assert int(two.iterations) < int(one.iterations)
     assert int(two.iterations) < 120
+
+
+@pytest.mark.parametrize("kind", MESHES)
+def test_restriction_and_prolongation_are_the_splines(kind):
+    space = system(kind, 200)[0].coarse
+    n = len(space.place)
+    z = np.kron(splines(space, n), np.eye(3))
+    weights = two_level._cell_weights(space)
+    rng = np.random.default_rng(0)
+    fine, coarse = rng.normal(size=3 * n), rng.normal(size=3 * space.size)
+    padded = space.padded(len(space.members) + 2, space.members.shape[1] + 1, space.size + 3)
+    wide = two_level._restrict(padded, two_level._cell_weights(padded), jnp.asarray(fine))
+    np.testing.assert_allclose(two_level._restrict(space, weights, jnp.asarray(fine)), z.T @ fine, atol=1e-13)
+    np.testing.assert_allclose(wide, np.append(z.T @ fine, np.zeros(9)), atol=1e-13)
+    np.testing.assert_allclose(
+        two_level._prolong(space, weights, jnp.asarray(coarse)), z @ coarse, atol=1e-13
+    )
+
+
+def test_an_accelerator_computes_the_same(monkeypatch):
+    pattern, values, rhs = system("sheet", 400)
+    expected, solution = coarse_matrix(pattern, values), solve(TwoLevel(), pattern, values, rhs, 1e-8)[1]
+    monkeypatch.setattr(two_level, "on_accelerator", lambda: True)
+    matrix = coarse_matrix(pattern, values)
+    np.testing.assert_allclose(matrix, expected, atol=1e-13 * np.abs(expected).max())
+    # Another limit, lest the program compiled for the processor serve again.
+    found = solve(TwoLevel(max_iterations=5001), pattern, values, rhs, 1e-8)[1]
+    assert int(found.iterations) == int(solution.iterations) > 20
+    np.testing.assert_allclose(found.x, solution.x, atol=1e-6 * np.abs(solution.x).max())
 
 
 @pytest.mark.slow
@@ -222,6 +253,25 @@ def test_layers_that_press_one_another_are_not_taken_for_unstable(solver):
     assert int(negative) <= 0 and not bool(solution.indefinite)
     left = rhs - whole @ solution.x
     assert jnp.linalg.norm(left) < 1.1e-6 * jnp.linalg.norm(rhs)
+
+
+def test_products_with_contact_on_any_device(monkeypatch):
+    mesh = strip(0.95e-3, columns=(5, 5), rows=7)
+    x = jnp.asarray(folded(mesh, 0.95e-3, (5, 5)))
+    contact = SelfContact(range=1e-3, level=4)
+    scene = with_contacts(sheet(mesh, Material(thickness=3e-4, yield_curvature=None), contact=contact), x)
+    blocks = scene.sparsity.contact
+    assert 0 < int(blocks.count) < len(blocks.triangles)
+    rng, size = np.random.default_rng(0), 3 * mesh.n_nodes
+    # Values of pairs that are not in the list must not count.
+    appended, u = rng.normal(size=blocks.size + mesh.n_nodes), rng.normal(size=size)
+    held = np.where(np.arange(blocks.size) < 81 * int(blocks.count), appended[: blocks.size], 0.0)
+    upper = blocks.upper(np.append(held, appended[blocks.size :]), size).toarray()
+    expected = (upper + np.triu(upper, 1).T) @ u
+    for accelerated in (False, True):
+        monkeypatch.setattr(contact_blocks, "on_accelerator", lambda answer=accelerated: answer)
+        found = blocks.product(jnp.asarray(appended), jnp.asarray(u))
+        np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("nodes", [64, 65])

@@ -58,7 +58,8 @@ def explicit_steps(scene: Scene, carry: Carry, t_stop: ScalarLike, solver: Integ
     def body(carry: Carry) -> Carry:
         return _step(scene, carry, t_stop, solver)
 
-    return jax.lax.while_loop(_takes_explicit, body, carry)
+    with jax.named_scope("explicit-steps"):
+        return jax.lax.while_loop(_takes_explicit, body, carry)
 
 
 def _takes_explicit(carry: Carry) -> Flag:

@@ -187,7 +187,8 @@ def go_on(
         now, _ = carry
         return ~now.is_over(most) & covered(scene, now)
 
-    return jax.lax.while_loop(unfinished, body, (iteration, factor))
+    with jax.named_scope("newton"):
+        return jax.lax.while_loop(unfinished, body, (iteration, factor))
 
 
 def covered(scene: Scene, iteration: NewtonIteration) -> Flag:

@@ -61,7 +61,8 @@ def implicit_steps(scene: Scene, carry: Carry, solver: Integrator) -> Carry:
         turn = carry.ready & (carry.state.stage != EXPLICIT)
         return is_going(carry) & turn & ~is_interrupted(carry)
 
-    return jax.lax.while_loop(unfinished, lambda carry: _attempt(scene, carry, solver), carry)
+    with jax.named_scope("implicit-steps"):
+        return jax.lax.while_loop(unfinished, lambda carry: _attempt(scene, carry, solver), carry)
 
 
 def _attempt(scene: Scene, carry: Carry, solver: Integrator) -> Carry:

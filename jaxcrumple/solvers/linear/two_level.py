@@ -16,13 +16,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxcrumple._jax.arrays import Flag, Scalar
+from jaxcrumple._jax.device import on_accelerator
 from jaxcrumple.assembly.coarse_space import SUPPORT, WINDOW, CoarseSpace
 from jaxcrumple.assembly.sparsity import FULL, Pattern
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor, LinearSolution, identity_values
 from jaxcrumple.solvers.linear.block_jacobi import block_factors, load_lapack, pad_blocks, unit_blocks
 from jaxcrumple.solvers.linear.cg import conjugate_gradients
 
-# Cells of the coarse grid whose rows are multiplied together, so that their arrays stay in the cache.
+# Cells of the coarse grid whose rows a CPU multiplies together, so that their arrays stay in its cache.
 BATCH = 8
 # Shift of the scaled coarse matrix, because functions that hardly overlap the sheet are nearly dependent.
 SHIFT = 1e-10
@@ -88,14 +89,10 @@ class TwoLevel(AbstractLinearSolver):
         weights = _cell_weights(space).astype(jnp.float32)
 
         def precondition(r: Float[Array, " unknowns"]) -> Float[Array, " unknowns"]:
-            # Residuals span many orders of magnitude, so normalise them before the cast to float32.
-            size = jnp.maximum(jnp.max(jnp.abs(r)), jnp.finfo(r.dtype).tiny)
-            scaled = (r / size).astype(jnp.float32)
-            # Row vector times matrix, because XLA on CPU would copy the transpose in every iteration.
-            half = jnp.matmul(levels.coarse, _restrict(space, weights, scaled), precision=FULL)
-            smooth = jnp.matmul(half, levels.coarse, precision=FULL)
-            both = _solve_blocks(levels.blocks, scaled) + _prolong(space, weights, smooth)
-            return size * both.astype(r.dtype)
+            single = r.astype(jnp.float32)
+            smooth = _solve_coarse(levels.coarse, _restrict(space, weights, single))
+            both = _solve_blocks(levels.blocks, single) + _prolong(space, weights, smooth)
+            return both.astype(r.dtype)
 
         return conjugate_gradients(
             lambda d: pattern.expanded_product(rows, d) + pattern.contact_product(values, d),
@@ -109,6 +106,19 @@ class TwoLevel(AbstractLinearSolver):
 
 def _inverse_lower(lower: Float[Array, "rows rows"]) -> Float[Array, "rows rows"]:
     return jax.scipy.linalg.solve_triangular(lower, jnp.eye(lower.shape[0]), lower=True)
+
+
+def _solve_coarse(
+    inverse: Float[Array, "coarse coarse"], y: Float[Array, " coarse"]
+) -> Float[Array, " coarse"]:
+    """Compute $L^{-T} L^{-1}$ y with the inverse factor of the coarse matrix."""
+    half = jnp.matmul(inverse, y, precision=FULL)
+    if not on_accelerator():
+        return jnp.matmul(half, inverse, precision=FULL)
+    # XLA makes two kernels of that product on a GPU, and one of three parts whose sum follows.
+    parts = inverse.reshape(3, -1, half.shape[0]), half.reshape(3, -1)
+    first, second, third = jnp.einsum("aij,ai->aj", *parts, precision=FULL)
+    return first + second + third
 
 
 def _solve_blocks(
@@ -134,7 +144,9 @@ def _restrict(
     fine = r.reshape(-1, 3).T.at[:, space.members].get(mode="fill", fill_value=0.0)
     # A sum of products along the last axis, which XLA on CPU runs three times faster than the einsum.
     local = jnp.sum(weights[:, :, None] * jnp.swapaxes(fine, 0, 1)[:, None], axis=-1)
-    return jnp.zeros((space.size, 3), r.dtype).at[space.functions].add(local, mode="drop").reshape(-1)
+    # A gather of what the cells contribute: a scatter is two kernels on a GPU.
+    parts = local.reshape(-1, 3).at[space.owners].get(mode="fill", fill_value=0.0)
+    return jnp.sum(parts, axis=0).reshape(-1)
 
 
 def _prolong(
@@ -168,7 +180,8 @@ def coarse_matrix(pattern: Pattern, values: Float[Array, " entries"]) -> Float[A
         image = jnp.einsum("nakb,nkw->nabw", blocks, product.reshape(*others.shape, WINDOW**2))
         return jnp.einsum("sn,nabw->sabw", weights, image)
 
-    local = jax.lax.map(cell, (space.members, _cell_weights(space)), batch_size=BATCH)
+    cells = space.members, _cell_weights(space)
+    local = jax.vmap(cell)(cells) if on_accelerator() else jax.lax.map(cell, cells, batch_size=BATCH)
     size = space.size
     matrix = jnp.zeros((size, 3, size, 3), values.dtype)
     index = (space.functions[:, :, None], slice(None), space.window[:, None, :], slice(None))
