@@ -56,6 +56,7 @@ def simulate_batch(
 
     **Raises:** ValueError for scenes and states that do not fit each other, or what `simulate` refuses.
 
+    >>> import equinox as eqx
     >>> mesh = jc.hexagonal(3, 2, 5e-3)
     >>> scene = jc.sheet(mesh, jc.Material(yield_curvature=None), gravity=(0, 0, -9.81))
     >>> slow = eqx.tree_at(lambda s: s.gravity.g, scene, scene.gravity.g / 2)

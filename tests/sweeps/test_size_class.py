@@ -8,7 +8,7 @@ import pytest
 
 import jaxcrumple as jc
 from jaxcrumple.contact.host_broad_phase import Search
-from jaxcrumple.sweeps.size_class import SizeClass
+from jaxcrumple.sweeps.size_class import SizeClass, kind_of
 
 SEEDS = range(5)
 
@@ -107,8 +107,15 @@ def test_seeds_share_the_program_of_factors(contact):
     np.testing.assert_allclose(found[0], found[1], rtol=1e-12, atol=1e-12)
 
 
-def test_sheets_of_other_sizes_are_refused():
-    with pytest.raises(ValueError, match="same numbers of nodes, edges and hinges"):
-        jc.sweep(
-            "radial", {"nodes": [60, 80]}, 0.01, settings={"sweeps": 3, "contact": None}, backend="batch"
-        )
+def test_what_size_classes_hold_is_of_one_kind():
+    """Other seeds are; other numbers of nodes, terms or sites are not."""
+    first, *others = (setup.scene for setup in sheets(contact="inverse-power", contact_level=3))
+    assert {kind_of(scene, None) for scene in others} == {kind_of(first, None)}
+    other = [
+        jc.radial(80, sweeps=10, contact_level=2).scene,
+        jc.radial(90, sweeps=10, contact_level=3).scene,
+        jc.radial(80, sweeps=10, contact=None).scene,
+        eqx.tree_at(lambda s: s.drag, first, None),
+    ]
+    kinds = [kind_of(scene, None) for scene in (first, *other)]
+    assert len(set(kinds)) == len(kinds) and kind_of(first, first.mass) != kind_of(first, None)
