@@ -43,11 +43,11 @@ def stack_records(records: Sequence[Record]) -> Record:
 
     >>> import equinox as eqx
     >>> mesh = jc.hexagonal(3, 2, 5e-3)
-    >>> def fall(g):  # a sheet that falls in air
-    ...     scene = jc.sheet(mesh, jc.Material(yield_curvature=None), gravity=(0, 0, -g))
-    ...     solver = jc.integrator(linear="two-level")
-    ...     return jc.simulate(scene, jc.initial_state(scene, mesh.vertices), 0.1, solver=solver, record=True)
-    >>> records = jc.stack_records([fall(g).record for g in (1.62, 9.81)])  # moon, earth
+    >>> material = jc.Material(yield_curvature=None)
+    >>> scenes = [jc.sheet(mesh, material, gravity=(0, 0, -g)) for g in (1.62, 9.81)]  # moon, earth
+    >>> state = jc.initial_state(scenes[0], mesh.vertices)
+    >>> fallen = jc.simulate_batch(scenes, [state, state], 0.1, record=True)
+    >>> records = jc.stack_records([run.record for run in fallen])
     >>> def height(g, record):  # m
     ...     scene = eqx.tree_at(lambda s: s.gravity.g, record.scene, g)
     ...     return jc.replay(scene, record).x[-1, :, 2].mean()
