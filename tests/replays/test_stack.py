@@ -132,7 +132,7 @@ def pressed(speed):
     scene = jc.sheet(
         mesh,
         jc.Material(thickness=0.2e-3, yield_curvature=5.0),
-        walls=[jc.Plane((0.0, 0.0, -1.0), jc.Ramp(-0.8 * RANGE, speed)), jc.Plane((0.0, 0.0, 1.0), -RANGE)],
+        walls=[jc.Plane((0.0, 0.0, -1.0), jc.Ramp(-0.8 * RANGE, speed))],
         contact=jc.SelfContact(range=RANGE),
     )
     bent = curvature(scene.bending.hinges(jnp.asarray(x)).theta)
@@ -150,7 +150,7 @@ def with_longer_lists(record):
 @pytest.mark.slow
 def test_lanes_may_have_longer_contact_lists():
     """Layers that walls press at different speeds."""
-    records = [recorded(*pressed(speed), [1e-3, 4e-3]) for speed in (0.05, 0.1)]
+    records = [recorded(*pressed(speed), [0.5e-3, 1e-3], "quasistatic") for speed in (0.05, 0.1)]
     for record in records:
         last = record.steps.x[-1, -1]
         assert int(bound(jc.with_contacts(record.scene, last)).gaps(last)[1]) > 0
