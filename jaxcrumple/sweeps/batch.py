@@ -16,6 +16,7 @@ from jaxcrumple._jax.memory import require
 from jaxcrumple._jax.program_cache import make_room
 from jaxcrumple._jax.threads import limited_blas
 from jaxcrumple.observers import tell_rows
+from jaxcrumple.scene import Scene
 from jaxcrumple.simulation import CALL, MOST_WAITS, RESULT_NAMES, SHORTEST, TRAIL
 from jaxcrumple.solvers.contact.reallocate import batch_with_contacts, joined_with_contacts
 from jaxcrumple.solvers.log import Log
@@ -90,11 +91,15 @@ class _Lane:
         """Time in s of the next frame."""
         return float(self.start.times[self.reached])
 
-    def report(self, state: State, *, at_once: bool = True) -> None:
-        """Tell the observers the rows, at once or if the last report is long ago."""
-        if at_once or time.perf_counter() - self.told > REPORT:
-            tell_rows(self.member.observers, state, self.rows, self.reached)
-            self.rows, self.told = [], time.perf_counter()
+    @property
+    def is_silent(self) -> bool:
+        """Whether the last report is long ago."""
+        return time.perf_counter() - self.told > REPORT
+
+    def report(self, state: State) -> None:
+        """Tell the observers the rows since the last report."""
+        tell_rows(self.member.observers, state, self.rows, self.reached)
+        self.rows, self.told = [], time.perf_counter()
 
     def frame(self, state: State) -> None:
         """Tell the observers a frame."""
@@ -188,10 +193,13 @@ class _Batch:
         self.soon = SHORTEST
         make_room(len(filled), self.scenes[0], self.solvers[0])
         self._assemble()
-        if self.scenes[0].contact is not None:
-            for lane, scene in zip(filled, self.listed, strict=True):
-                with blamed(lane.member.name):
-                    check_gap(scene, lane.start.state)
+        for index, lane in list(self._going()):
+            try:
+                _check_gap(lane, self.listed[index])
+            except ValueError as error:
+                if not self.queue.started:
+                    raise
+                self._free(index, error)
 
     def _assemble(self) -> None:
         """Build the arrays of all lanes anew; the next call compiles."""
@@ -200,7 +208,7 @@ class _Batch:
         self.plain = plain[0], self.solvers[0]
         self._list(plain)
 
-    def _list(self, scenes: Sequence[Any]) -> None:
+    def _list(self, scenes: Sequence[Scene]) -> None:
         """Build the neighbour lists of all lanes, with the same capacities."""
         states = jax.device_get(self.states)
         each = [lane_of(states, index) for index in range(len(scenes))]
@@ -216,12 +224,22 @@ class _Batch:
         try:
             while any(self.seats):
                 self._advance()
+                results, t = self._results(), np.asarray(self.states.t)
                 for index, lane in self._going():
-                    self._follow(index, lane)
+                    try:
+                        self._follow(index, lane, results[index], float(t[index]))
+                    except Exception as error:
+                        self._free(index, error)
                 self._refill()
         finally:
             for _, lane in self._going():
                 lane.member.pause()
+
+    def _free(self, index: int, error: Exception) -> None:
+        """Free the seat of a lane that an exception ended."""
+        lane, self.seats[index] = self.seats[index], None
+        if lane is not None:
+            lane.member.fail(error)
 
     def _going(self) -> Iterator[tuple[int, _Lane]]:
         return ((index, lane) for index, lane in enumerate(self.seats) if lane is not None)
@@ -263,35 +281,39 @@ class _Batch:
             lane.member.spend(seconds * float(steps[index]) / max(1.0, float(steps.sum())))
             lane.waits = 0 if steps[index] else lane.waits + 1
 
-    def _follow(self, index: int, lane: _Lane) -> None:
-        """Tell the observers of a lane how it stands; free its seat if it has ended."""
-        state = lane_of(self.states, index)
-        try:
-            result = self._result(lane, state)
-            there = result == "success" and float(state.t) >= lane.due
-            ended = result != "success" or (there and lane.reached + 1 == len(lane.start.times))
-            lane.report(state, at_once=there or ended)
-            if there:
-                lane.frame(state)
-                if lane.start.scene.contact is not None and len(pierced(lane.start.scene, state.x)):
-                    result, ended = "intersected", True
-            if ended:
-                self.seats[index] = None
-                final = eqx.tree_at(lambda s: s.result, state, getattr(RESULTS, result))
-                lane.member.end(jax.device_get(final), result)
-        except Exception as error:
-            self.seats[index] = None
-            lane.member.fail(error)
+    def _results(self) -> list[str]:
+        """Return the names of the results of all lanes so far."""
+        now = self.states.result
+        is_so = {name: np.asarray(now == getattr(RESULTS, name)) for name in RESULT_NAMES}
+        results = [
+            next(name for name in RESULT_NAMES if is_so[name][index]) for index in range(len(self.seats))
+        ]
+        made, t = _attempts(self.states), np.asarray(self.states.t)
+        for index, lane in self._going():
+            if results[index] != "success" or t[index] >= lane.due:
+                continue
+            if lane.waits > MOST_WAITS:
+                results[index] = "collapsed"
+            elif made[index] - lane.before >= self.attempts or lane.wall > lane.start.seconds:
+                results[index] = "budget"
+        return results
 
-    def _result(self, lane: _Lane, state: State) -> str:
-        """Return the name of the result of a lane so far."""
-        result = next(name for name in RESULT_NAMES if bool(state.result == getattr(RESULTS, name)))
-        if result != "success" or float(state.t) >= lane.due:
-            return result
-        if lane.waits > MOST_WAITS:
-            return "collapsed"
-        over = _attempts(state) - lane.before >= self.attempts or lane.wall > lane.start.seconds
-        return "budget" if over else "success"
+    def _follow(self, index: int, lane: _Lane, result: str, t: float) -> None:
+        """Tell the observers of a lane how it stands; free its seat if it has ended."""
+        there = result == "success" and t >= lane.due
+        ended = result != "success" or (there and lane.reached + 1 == len(lane.start.times))
+        if not (there or ended or lane.is_silent):
+            return
+        state = lane_of(self.states, index)
+        lane.report(state)
+        if there:
+            lane.frame(state)
+            if lane.start.scene.contact is not None and len(pierced(lane.start.scene, state.x)):
+                result, ended = "intersected", True
+        if ended:
+            final = eqx.tree_at(lambda s: s.result, state, getattr(RESULTS, result))
+            lane.member.end(final, result)
+            self.seats[index] = None
 
     def _refill(self) -> None:
         """Give free seats to waiting members."""
@@ -314,19 +336,25 @@ class _Batch:
             fits = bool(eqx.tree_equal(wider, self.mask))
         listed = joined_with_contacts(scene, start.state, self.listed[0])
         try:
-            if scene.contact is not None:
-                check_gap(listed, start.state)
+            _check_gap(lane, listed)
         except ValueError as error:
             lane.member.fail(error)
             return True
+        fits = fits and _shapes(listed) == _shapes(self.listed[index])
         self.seats[index], self.sizes = lane, sizes
         self.scenes[index], self.solvers[index], self.listed[index] = start.scene, solver, listed
         self.states = placed(self.states, index, start.state, self.devices)
-        if not fits or _shapes(listed) != _shapes(self.listed[index - 1]):
-            return False
-        own = placed(self.lanes.own, index, own_of((listed, solver), self.mask), self.devices)
-        self.lanes = self.lanes._replace(own=own)
-        return True
+        if fits:
+            own = placed(self.lanes.own, index, own_of((listed, solver), self.mask), self.devices)
+            self.lanes = self.lanes._replace(own=own)
+        return fits
+
+
+def _check_gap(lane: _Lane, listed: Scene) -> None:
+    """Refuse a start whose layers overlap, with the name of its member."""
+    if listed.contact is not None:
+        with blamed(lane.member.name):
+            check_gap(listed, lane.start.state)
 
 
 def _attempts(states: State) -> Int[np.ndarray, " *lanes"]:
@@ -337,4 +365,4 @@ def _attempts(states: State) -> Int[np.ndarray, " *lanes"]:
 
 
 def _shapes(tree: Any) -> list[tuple[int, ...]]:
-    return [leaf.shape for leaf in jax.tree.leaves(tree)]
+    return [leaf.shape for leaf in jax.tree.leaves(eqx.filter(tree, eqx.is_array))]

@@ -50,7 +50,7 @@ class CaseMember:
     def end(self, state: State, result: str) -> None:
         """Keep the outcome."""
         assert self.frames is not None
-        self._keep(Outcome(result, self.frames.found, state))
+        self._keep(Outcome(result, self.frames.found, jax.device_get(state)))
 
     def fail(self, error: Exception) -> None:
         """Keep the exception as the outcome, with the frames so far."""
