@@ -2,6 +2,8 @@
 
 import os
 import re
+from collections.abc import Callable
+from typing import Any
 
 from jaxcrumple._jax.settings import configure_jax
 
@@ -15,6 +17,14 @@ def on_accelerator() -> bool:
     import jax
 
     return jax.default_backend() != "cpu"
+
+
+def mapped(function: Callable[[Any], Any], parts: Any) -> Any:
+    """Return `function` of each of the `parts` along the first axis: one after another on a CPU, where XLA
+    would recompute for each what they share, and together on an accelerator."""
+    import jax
+
+    return jax.vmap(function)(parts) if on_accelerator() else jax.lax.map(function, parts)
 
 
 def choose_device(name: str) -> None:

@@ -6,12 +6,12 @@ branches, so one kernel serves any number of pairs.
 
 from functools import reduce
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxcrumple._jax.arrays import Count, Scalar
+from jaxcrumple._jax.device import mapped
 from jaxcrumple.geometry.hinge import Vec, cross, dot, scale, sub
 
 # Parts of two triangles: pairs corner-triangle as (side, corner), and pairs edge-edge as (edge, edge).
@@ -76,8 +76,8 @@ def primitive_distances(sides: Float[Array, "2 3 3 *pairs"]) -> Float[Array, "15
 
     one, two = np.array(EDGES).T
     ends = np.array(ENDS)
-    corners = jax.lax.map(above, (jnp.asarray(side), jnp.asarray(corner)))
-    edges = jax.lax.map(between, (jnp.asarray(ends[one]), jnp.asarray(ends[two])))
+    corners = mapped(above, (jnp.asarray(side), jnp.asarray(corner)))
+    edges = mapped(between, (jnp.asarray(ends[one]), jnp.asarray(ends[two])))
     return jnp.concatenate([corners, edges])
 
 

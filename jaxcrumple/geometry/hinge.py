@@ -15,12 +15,12 @@ and $r = |n_1| |n_2|$.
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Real
 
 from jaxcrumple._jax.arrays import NodeVectors, Scalar
+from jaxcrumple._jax.device import mapped
 
 EPSILON = float(np.finfo(np.float64).eps)
 
@@ -190,9 +190,9 @@ def hinge_hessian(
     a, b = np.array(HINGE_PAIRS).T
     sa, sb = jnp.asarray(_EDGE_SIGNS[a], first.dtype), jnp.asarray(_EDGE_SIGNS[b], first.dtype)
     c = weights[a] * weights[b] + jnp.multiply.outer(sa * sb, shared)
-    # A loop over the pairs: XLA would fuse everything above into a single expression and recompute it for
-    # each of the ninety entries.
-    return jax.lax.map(block, (c, g[a], g[b], sa, sb))
+    # Not unrolled: XLA on CPU would fuse everything above into a single expression and recompute it for each
+    # of the ninety entries.
+    return mapped(block, (c, g[a], g[b], sa, sb))
 
 
 def _faces(

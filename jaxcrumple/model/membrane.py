@@ -1,11 +1,11 @@
 """In-plane elasticity: linear springs along the edges (Section 2.1)."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxcrumple._jax.arrays import EdgeValues, Flag, NodeVectors, Scalar
+from jaxcrumple._jax.device import mapped
 from jaxcrumple.geometry.hinge import Vec, add, dot, dyad, gather, length, scale, sub
 from jaxcrumple.model.elements import scatter
 
@@ -35,8 +35,8 @@ def edge_blocks(r: Vec, axial: EdgeValues, tension_per_length: EdgeValues) -> Fl
     def block(sign: Scalar) -> Float[Array, "3 3 edges"]:
         return sign * ((axial - tension_per_length) * dyad(direction, direction) + across)
 
-    # A loop, for the same reason as in `hinge_hessian`.
-    return jax.lax.map(block, jnp.array([1.0, -1.0, 1.0]))
+    # As in `hinge_hessian`.
+    return mapped(block, jnp.array([1.0, -1.0, 1.0]))
 
 
 class Membrane(eqx.Module):

@@ -9,7 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxcrumple._jax import padded
+import jaxcrumple as jc
+from jaxcrumple._jax import device, padded
+from jaxcrumple.geometry.distance import primitive_distances
 
 
 def chosen(name, **environment):
@@ -61,3 +63,24 @@ def test_an_accelerator_adds_larger_chunks(count, monkeypatch):
     total = padded.accumulate(add, jnp.zeros(()), numbers, jnp.asarray(count), 1000, 3)
     assert float(total) == pytest.approx(float(np.sum(numbers[:count])), abs=1e-12)
     assert set(sizes) == {3 * padded.AT_ONCE}
+
+
+def test_an_accelerator_maps_all_parts_at_once(monkeypatch):
+    """The tangent and the distances of triangles are the same, without a loop."""
+    rng = np.random.default_rng(0)
+    mesh = jc.hexagonal(6, 5, 2e-3)
+    x = jnp.asarray(mesh.vertices + 2e-4 * rng.normal(size=mesh.vertices.shape))
+    scene = jc.sheet(mesh, jc.Material())
+    sides = jnp.asarray(rng.normal(size=(2, 3, 3, 20)))
+
+    def numbers():
+        def both(x, sides):
+            return jc.elastic_tangent(scene, x, None, 0.0), primitive_distances(sides)
+
+        return both(x, sides), str(jax.make_jaxpr(both)(x, sides)).count("scan[")
+
+    (one, loops), _ = numbers(), monkeypatch.setattr(device, "on_accelerator", lambda: True)
+    other, none = numbers()
+    assert loops == 4 and none == 0
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12 * float(jnp.max(jnp.abs(a[jnp.isfinite(a)]))))
