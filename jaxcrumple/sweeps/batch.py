@@ -272,11 +272,11 @@ class _Batch:
 
     def _account(self, steps: Int[np.ndarray, " lanes"], seconds: float, log: Log) -> None:
         """Give each lane what it did in a call that took `seconds`."""
-        rows, lengths = np.asarray(log.rows), np.asarray(log.length)
+        rows, lengths, trails = jax.device_get((log.rows, log.length, log.trail))
         for index, lane in self._going():
             lane.rows.append(rows[index, : lengths[index]].copy())
             if lane.start.recorder is not None:
-                lane.start.recorder.extend(jax.device_get(lane_of(log.trail, index)))
+                lane.start.recorder.extend(lane_of(trails, index))
             lane.wall += seconds
             lane.member.spend(seconds * float(steps[index]) / max(1.0, float(steps.sum())))
             lane.waits = 0 if steps[index] else lane.waits + 1
@@ -312,7 +312,7 @@ class _Batch:
                 result, ended = "intersected", True
         if ended:
             final = eqx.tree_at(lambda s: s.result, state, getattr(RESULTS, result))
-            lane.member.end(final, result)
+            lane.member.end(final, result, self.listed[index].lists)
             self.seats[index] = None
 
     def _refill(self) -> None:

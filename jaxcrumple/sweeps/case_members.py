@@ -6,6 +6,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from jaxcrumple.contact.lists import ContactLists
 from jaxcrumple.observers import Observer
 from jaxcrumple.solvers.start import check_start
 from jaxcrumple.state import State, initial_state
@@ -47,7 +48,7 @@ class CaseMember:
     def spend(self, seconds: float) -> None:
         """Ignore the time."""
 
-    def end(self, state: State, result: str) -> None:
+    def end(self, state: State, result: str, lists: ContactLists | None) -> None:
         """Keep the outcome."""
         assert self.frames is not None
         self._keep(Outcome(result, self.frames.found, jax.device_get(state)))

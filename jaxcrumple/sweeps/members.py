@@ -6,6 +6,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from jaxtyping import Float
 
+from jaxcrumple.contact.lists import ContactLists
 from jaxcrumple.observers import Observer
 from jaxcrumple.replays.record import StepRecorder
 from jaxcrumple.scene import Scene
@@ -43,8 +44,8 @@ class Member(Protocol):
     def spend(self, seconds: float) -> None:
         """Receive the member's share of the wall time of a call, in s."""
 
-    def end(self, state: State, result: str) -> None:
-        """Receive the last `state` and the name of the result."""
+    def end(self, state: State, result: str, lists: ContactLists | None) -> None:
+        """Receive the last `state`, the name of the result, and the contact `lists`, None without contact."""
 
     def pause(self) -> None:
         """Give back what `begin` took: the member waits, and begins again, or the batch was interrupted."""

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 import pandas as pd
 
+from jaxcrumple.contact.lists import ContactLists
 from jaxcrumple.io import RunDirectory, RunDirectoryError
 from jaxcrumple.io.lock import writing
 from jaxcrumple.io.rundir import is_run, make_folder
@@ -93,7 +94,7 @@ class RunMember:
         if self.recorder is not None:
             self.recorder.spend(seconds)
 
-    def end(self, state: State, result: str) -> None:
+    def end(self, state: State, result: str, lists: ContactLists | None) -> None:
         """Write what remains to be written."""
         assert self.begun is not None
         message = message_of(self.begun.setup.scene, state, result)

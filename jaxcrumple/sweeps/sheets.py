@@ -9,9 +9,10 @@ from jaxtyping import Float
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.memory import require_run
 from jaxcrumple._jax.tree import require_limit
+from jaxcrumple.contact.lists import ContactLists
 from jaxcrumple.observers import Observer
-from jaxcrumple.replays.record import StepRecorder
-from jaxcrumple.scene import Scene, check_scene
+from jaxcrumple.replays.record import Record, StepRecorder
+from jaxcrumple.scene import Scene, check_scene, with_lists
 from jaxcrumple.simulation import Kept, Solution, Times, checked_times, solution_of
 from jaxcrumple.solvers.scheme import Integrator, checked_solver, integrator
 from jaxcrumple.solvers.start import check_start
@@ -101,6 +102,7 @@ class _Sheet:
         self.kept, self.spent = Kept(), 0.0
         self.recorder = StepRecorder(state, solver) if record else None
         self.solver = solver if self.recorder is None else self.recorder.solver(solver)
+        self.record: Record | None = None
         self.error: Exception | None = None
 
     @property
@@ -123,9 +125,11 @@ class _Sheet:
         """Add to the time of the sheet."""
         self.spent += seconds
 
-    def end(self, state: State, result: str) -> None:
-        """Keep the last state, which has the result."""
+    def end(self, state: State, result: str, lists: ContactLists | None) -> None:
+        """Keep the last state, which has the result, and build the record."""
         self.state = state
+        if self.recorder is not None:
+            self.record = self.recorder.finished(with_lists(self.scene, lists), self.solver)
 
     def fail(self, error: Exception) -> None:
         """Keep an exception, which stops the caller after all others have ended."""
@@ -139,6 +143,5 @@ class _Sheet:
         if self.error is not None:
             raise self.error
         found = solution_of(self.scene, self.state, self.kept, 0.0, self.spent)
-        if self.recorder is not None:
-            found.record = self.recorder.finished(self.scene, self.solver)
+        found.record = self.record
         return found
