@@ -160,6 +160,19 @@ def test_lanes_may_have_longer_contact_lists():
     check_replay(records[0], lane(stacked, 0))
 
 
+@pytest.mark.slow
+def test_lanes_of_a_batch_record_their_contacts():
+    """Each can be replayed as it went, and their records can be stacked."""
+    scenes, x = zip(*map(pressed, (0.05, 0.1)), strict=True)
+    states = list(map(jc.initial_state, scenes, x))
+    options = {"solver": integrator("quasistatic"), "record": True}
+    found = jc.simulate_batch(list(scenes), states, [0.5e-3, 1e-3], **options)
+    for scene, lane in zip(scenes, found, strict=True):
+        assert lane.history["contact"].iloc[-1] > 0
+        np.testing.assert_allclose(jc.replay(scene, lane.record).x, lane.x, rtol=0, atol=1e-9)
+    assert len(jc.stack_records([lane.record for lane in found]).t) == 2
+
+
 def test_sizes_of_batches_are_few_and_close():
     sizes = np.array([_rounded(size) for size in range(1, 1001)])
     wanted = np.arange(1, 1001)
