@@ -73,13 +73,8 @@ def lanes():
     return jnp.asarray(LANES), records
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        pytest.param({}, id="solved"),
-        pytest.param({"solve": False, "checkpoint": True}, id="taken", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [{}, {"solve": False, "checkpoint": True}], ids=["solved", "taken"])
 def test_gradients_of_lanes_are_those_of_single_runs(lanes, options):
     """By yield curvature and thickness; seen are 5e-11, from linear systems solved to 1e-12."""
     parameters, records = lanes

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import jaxcrumple as jc
-from jaxcrumple.sweeps import cases, cluster, processes
+from jaxcrumple.sweeps import cases, cluster, processes, run_members
 from jaxcrumple.sweeps.errors import WorkersLostError
 from jaxcrumple.sweeps.table import Outcome
 
@@ -94,7 +94,7 @@ def test_a_scheduler_that_is_lost_while_jobs_run_is_told(monkeypatch):
 def test_a_campaign_that_is_broken_off_leaves_its_table(monkeypatch, tmp_path):
     """With the runs that had ended, however it was broken off."""
 
-    def done(client, runs, place, limit):
+    def done(client, runs, place, limit, lanes):
         yield NAMES[0], {"result": "success", "t_reached": 1e-4}
         raise WorkersLostError("gone")
 
@@ -110,19 +110,24 @@ def test_a_run_whose_time_was_up_goes_on(monkeypatch, tmp_path):
     """For as long again, where the campaign is started again."""
     folder, limits = tmp_path / "runs" / NAMES[0], []
 
-    def resume(path, max_seconds=None, **_):
+    @contextmanager
+    def again(path, **_):
+        yield "begun"
+
+    def finished(begun, observers, max_seconds):
         limits.append(max_seconds)
         return {"result": "success"}
 
-    monkeypatch.setattr(campaigns, "resume_run", resume)
-    monkeypatch.setattr(campaigns, "_check_same", lambda *_: None)
+    monkeypatch.setattr(run_members, "continued", again)
+    monkeypatch.setattr(run_members, "finished", finished)
+    monkeypatch.setattr(run_members, "check_same", lambda *_: None)
     for result, gone_on in (("budget", [5.0]), ("success", [])):
-        monkeypatch.setattr(campaigns, "_summary", lambda _, result=result: {"result": result})
-        assert bool(campaigns._ended(folder)) is not bool(gone_on)
+        monkeypatch.setattr(run_members, "summary_of", lambda _, result=result: {"result": result})
+        assert bool(run_members.ended_summary(folder)) is not bool(gone_on)
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "manifest.json").write_text(json.dumps({}))
         limits.clear()
-        assert campaigns.run_missing(RUNS[NAMES[0]], folder, 5.0) == {"result": "success"}
+        assert run_members.run_missing(RUNS[NAMES[0]], folder, 5.0) == {"result": "success"}
         assert limits == gone_on
 
 

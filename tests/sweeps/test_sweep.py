@@ -182,7 +182,6 @@ def test_words_and_none_are_values():
         ({"laod": [0.1]}, {}, "did you mean 'load'"),
         ({"load": [0.1, -1.0]}, {}, "load=-1.0: options.load = -1.0"),
         ({"rise": [0.002, 0.02]}, {}, "rise=0.02: rise = 0.02 m is more than half"),
-        ({"nodes": [60, 300]}, {"settings": {}}, "of one kind, with the same numbers of nodes"),
         ({"load": [0.1]}, {"settings": {"load": 0.2}}, "in over and in settings"),
         ({"load": [0.1]}, {"settings": {"scheme": "dynamic", "linear": "direct"}}, "one sheet at a time"),
         ({"load": [0.1]}, {"solver": jc.integrator()}, "leave solver out"),
