@@ -217,8 +217,9 @@ def cases_of(
     if "frames" in grid or "frames" in settings:
         raise ConfigError("only campaigns save frames; a sweep measures at its times, so leave frames out.")
     configs = _configurations(scene, combinations, {"linear": linear, **settings}, t_end)
+    solvers = {config.solver: config.solver.build() for config in {c.solver: c for c in configs}.values()}
     return [
-        Case(values, config, {}, config.solver.build())
+        Case(values, config, {}, solvers[config.solver])
         for values, config in zip(combinations, configs, strict=True)
     ]
 

@@ -12,6 +12,7 @@ from jax.sharding import NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Real
 
 from jaxcrumple._jax.arrays import Count, Scalar
+from jaxcrumple._jax.tree import as_array
 from jaxcrumple.scene import Scene, with_lists
 from jaxcrumple.solvers.integrate import integrate
 from jaxcrumple.solvers.log import Log
@@ -34,8 +35,8 @@ class Lanes(NamedTuple):
 
 
 def stacked(trees: Sequence[Any]) -> Any:
-    """Stack trees of arrays along a new leading axis."""
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
+    """Stack trees of arrays along a new leading axis, on the host: `jnp.stack` compiles for each shape."""
+    return jax.tree.map(lambda *leaves: as_array(np.stack(leaves)), *trees)
 
 
 def lane_of(tree: Any, index: int) -> Any:
