@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import numpy as np
 import pandas as pd
-from jaxtyping import ArrayLike, Float, Real
+from jaxtyping import ArrayLike, Float, Int, Real
 
 from jaxcrumple._jax.arrays import Scalar, ScalarLike
 from jaxcrumple._jax.door import door
@@ -258,14 +258,14 @@ class _Budget:
     """Limit the attempts and the wall time of a run."""
 
     def __init__(self, state: State, attempts: int | None, seconds: float | None):
-        self.first = _attempts(state)
+        self.first = int(attempts_of(state))
         self.attempts = np.inf if attempts is None else attempts
         self.seconds = np.inf if seconds is None else seconds
         self.start = time.perf_counter()
 
     def left(self, state: State) -> float:
         """Return how many attempts to make before the next check of the clock; 0 or less at a limit."""
-        made, spent = _attempts(state) - self.first, time.perf_counter() - self.start
+        made, spent = int(attempts_of(state)) - self.first, time.perf_counter() - self.start
         if spent >= self.seconds:
             return 0.0
         rate = made / spent
@@ -275,9 +275,10 @@ class _Budget:
         return min(self.attempts - made, np.ceil(soon))
 
 
-def _attempts(state: State) -> int:
-    counters = state.counters
-    return int(np.asarray(counters.steps).sum() + np.asarray(counters.rejected).sum())
+def attempts_of(states: State) -> Int[np.ndarray, " *lanes"]:
+    """Return the number of step attempts of a state, or of each lane of stacked states."""
+    steps, rejected = np.asarray(states.counters.steps), np.asarray(states.counters.rejected)
+    return np.asarray(steps.sum(axis=-1) + rejected.sum(axis=-1))
 
 
 def _compile(scene: Scene, state: State, solver: Integrator, recorder: StepRecorder | None) -> float:
@@ -320,14 +321,14 @@ def _advance(
 ) -> tuple[Scene, State]:
     rows, told, waits = [], time.perf_counter(), 0
     while float(state.t) < t_stop:
-        left, made = budget.left(state), _attempts(state)
+        left, made = budget.left(state), int(attempts_of(state))
         if left <= 0:
             state = eqx.tree_at(lambda s: s.result, state, RESULTS.budget)
         else:
             state, log = _called(scene, state, as_float(t_stop), solver, as_float(left), recorder)
             tell_phase(watchers, "stepping")
             rows.append(np.asarray(log.rows)[: int(log.length)].copy())
-            waits = waits + 1 if _attempts(state) == made else 0
+            waits = waits + 1 if int(attempts_of(state)) == made else 0
         if waits > MOST_WAITS and _name(state) == "success":
             state = eqx.tree_at(lambda s: s.result, state, RESULTS.collapsed)
         over = _name(state) != "success" or float(state.t) >= t_stop

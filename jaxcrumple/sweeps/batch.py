@@ -17,7 +17,7 @@ from jaxcrumple._jax.program_cache import make_room
 from jaxcrumple._jax.threads import limited_blas
 from jaxcrumple.observers import tell_rows
 from jaxcrumple.scene import Scene
-from jaxcrumple.simulation import CALL, MOST_WAITS, RESULT_NAMES, SHORTEST, TRAIL
+from jaxcrumple.simulation import CALL, MOST_WAITS, RESULT_NAMES, SHORTEST, TRAIL, attempts_of
 from jaxcrumple.solvers.contact.reallocate import batch_with_contacts, joined_with_contacts
 from jaxcrumple.solvers.log import Log
 from jaxcrumple.solvers.start import check_gap, pierced
@@ -149,7 +149,7 @@ class _Queue:
             state = eqx.tree_at(lambda s: s.result, start.state, RESULTS.success)
             start = start._replace(state=state)
             kind = kind_of(start.scene, (member.solver, state, start.recorder is None))
-            return _Lane(member, start, kind, start.frames, int(_attempts(state)))
+            return _Lane(member, start, kind, start.frames, int(attempts_of(state)))
         except Exception as error:
             if not self.started:
                 raise
@@ -246,7 +246,7 @@ class _Batch:
 
     def _advance(self) -> None:
         """Call the program once for all lanes, and rebuild neighbour lists if a lane stopped for it."""
-        made = _attempts(self.states)
+        made = attempts_of(self.states)
         stops, left = np.full(len(self.seats), -np.inf), np.zeros(len(self.seats))
         for index, lane in self._going():
             stops[index] = lane.due
@@ -257,7 +257,7 @@ class _Batch:
         start = time.perf_counter()
         self.states, log = jax.block_until_ready(self._called(stops, left))
         seconds = time.perf_counter() - start
-        steps = _attempts(self.states) - made
+        steps = attempts_of(self.states) - made
         self.soon = max(SHORTEST, np.ceil(float(steps.max()) * CALL / seconds))
         self._account(steps, seconds, log)
         listing = self.states.listing
@@ -288,7 +288,7 @@ class _Batch:
         results = [
             next(name for name in RESULT_NAMES if is_so[name][index]) for index in range(len(self.seats))
         ]
-        made, t = _attempts(self.states), np.asarray(self.states.t)
+        made, t = attempts_of(self.states), np.asarray(self.states.t)
         for index, lane in self._going():
             if results[index] != "success" or t[index] >= lane.due:
                 continue
@@ -355,13 +355,6 @@ def _check_gap(lane: _Lane, listed: Scene) -> None:
     if listed.contact is not None:
         with blamed(lane.member.name):
             check_gap(listed, lane.start.state)
-
-
-def _attempts(states: State) -> Int[np.ndarray, " *lanes"]:
-    """Return the attempts of a state, or of each lane."""
-    counters = states.counters
-    steps, rejected = np.asarray(counters.steps), np.asarray(counters.rejected)
-    return np.asarray(steps.sum(axis=-1) + rejected.sum(axis=-1))
 
 
 def _shapes(tree: Any) -> list[tuple[int, ...]]:

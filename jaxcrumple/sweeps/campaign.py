@@ -73,9 +73,8 @@ def campaign(
     also has the runs of earlier campaigns in the folder, and is written even if this call is interrupted.
 
     **Raises:** ValueError, before any run starts, for a name that no folder can have, a folder that holds
-    another run, a value that is no configuration, a run that cannot be built, or
-    `lanes` of a solver that takes one sheet at a time; `WorkersLostError` if all
-    workers or their scheduler are lost.
+    another run, a value that is no configuration, a run that cannot be built, or `lanes` of a solver that
+    takes one sheet at a time; `WorkersLostError` if all workers or their scheduler are lost.
     """
     require_limit("max_seconds", max_seconds)
     require_lanes(lanes)

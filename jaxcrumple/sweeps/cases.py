@@ -217,7 +217,7 @@ def cases_of(
     if "frames" in grid or "frames" in settings:
         raise ConfigError("only campaigns save frames; a sweep measures at its times, so leave frames out.")
     configs = _configurations(scene, combinations, {"linear": linear, **settings}, t_end)
-    solvers = {config.solver: config.solver.build() for config in {c.solver: c for c in configs}.values()}
+    solvers = {options: options.build() for options in {config.solver for config in configs}}
     return [
         Case(values, config, {}, solvers[config.solver])
         for values, config in zip(combinations, configs, strict=True)
