@@ -16,14 +16,22 @@ from jaxcrumple.run.config import RunConfig, configure
 from jaxcrumple.scenes.axial import AxialTimes
 
 # Nodes, cycles and seeds for a laptop and at full size; frames per cycle.
-NODES, CYCLES, SEEDS, FRAMES = (500, 2000), (3, 5), (1, 3), 10
+NODES, CYCLES, SEEDS, FRAMES = (500, 2000), (4, 5), (1, 3), 10
+# Height in m after the compression, and its duration in s, with equal speeds. A sheet of 500 nodes that is
+# compressed further locks: most of its energy is stretching.
+HEIGHT, COMPRESS = (0.07, 0.045), (0.11, 0.2)
 # Number of cycles whose facets the figure shows.
 SHOWN = 3
 
 
 def configurations(full: bool, seeds: int) -> dict[str, RunConfig]:
     """Return a configuration for each seed, for a laptop (False) or at full size (True)."""
-    settings = {"cycles": CYCLES[full], "frames": FRAMES * CYCLES[full]}
+    settings = {
+        "cycles": CYCLES[full],
+        "frames": FRAMES * CYCLES[full],
+        "height": HEIGHT[full],
+        "compress": COMPRESS[full],
+    }
     return {
         f"seed{seed}": configure("axial", nodes=NODES[full], seed=seed, settings=settings)
         for seed in range(seeds)
