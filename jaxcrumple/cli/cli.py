@@ -10,8 +10,6 @@ import typer
 
 from jaxcrumple.cli.calibrate import calibrations
 from jaxcrumple.cli.console import (
-    ENDED,
-    check_place,
     command,
     console,
     keep_programs,
@@ -23,8 +21,10 @@ from jaxcrumple.cli.dataset import dataset
 from jaxcrumple.cli.device import Device, use_device
 from jaxcrumple.cli.figures import figure
 from jaxcrumple.cli.help import explain, report
-from jaxcrumple.cli.outcome import tell_case, tell_ensemble, tell_next, tell_outcome
+from jaxcrumple.cli.limits import Limit, all_must_succeed, seconds
+from jaxcrumple.cli.outcome import tell_next, tell_outcome
 from jaxcrumple.cli.pictures import draw_run, plot, view
+from jaxcrumple.cli.sweeps import campaign, ensemble, sweep
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -72,13 +72,6 @@ SceneOrFile = Annotated[
 Nodes = Annotated[int | None, typer.Option(help="Nodes of the mesh (default: 1000).")]
 EndTime = Annotated[str | None, typer.Option(help="End time in s, or with a unit (default: the scene's).")]
 Seed = Annotated[int | None, typer.Option(help="Seed of mesh and imperfection (default: 0).")]
-Limit = Annotated[
-    str | None,
-    typer.Option(
-        help="Wall time in s, or with a unit, after which a run ends with the result budget; it can be "
-        "resumed. Compile time does not count."
-    ),
-]
 Setting = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="An option of scene, material or solver; repeatable."),
@@ -101,7 +94,7 @@ def run(
 ) -> None:
     """Run a scene and write its trajectory, tables, checkpoint, summary and pictures to a folder."""
     use_device(device)
-    folder, limit = out or Path("runs") / Path(scene.rpartition(":")[2]).stem, _seconds(max_seconds)
+    folder, limit = out or Path("runs") / Path(scene.rpartition(":")[2]).stem, seconds(max_seconds)
     given = {"nodes": nodes, "t_end": t_end, "seed": seed}
     asked: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     stored = resume and not asked and not settings and not _is_file(scene)
@@ -127,7 +120,7 @@ def run(
     for picture in pictures:
         say(f"picture: {picture}")
     tell_next(summary, folder, go_on)
-    _all_must_succeed(summary["result"] == "success")
+    all_must_succeed(summary["result"] == "success")
 
 
 # A sheet of thin paper in a sphere, to 4.1 cm: small enough to take about a minute with compiling.
@@ -151,21 +144,6 @@ def _stored(folder: Path, scene: str) -> "RunConfig":
     from jaxcrumple.scenes.functions import absolute
 
     return stored_config(RunDirectory.open(folder)).model_copy(update={"scene": absolute(scene)})
-
-
-def _seconds(limit: str | None) -> float | None:
-    """Convert --max-seconds to a wall time in s."""
-    from jaxcrumple._jax.tree import require_limit
-    from jaxcrumple.options.units import TIME
-
-    try:
-        seconds = None if limit is None else float(TIME.si(limit))
-        require_limit("max_seconds", seconds)
-    except ValueError as error:
-        raise ValueError(
-            f"--max-seconds = {limit!r} is no wall time; give one such as 600 or '30 min'."
-        ) from error
-    return seconds
 
 
 def _resume_command(scene: str, folder: Path, asked: dict[str, Any], settings: Sequence[str] | None) -> str:
@@ -231,103 +209,8 @@ def _asked(scene: str, settings: list[str] | None, top: dict[str, Any]) -> "RunC
 
 app.add_typer(calibrations, name="calibrate")
 
-SweepPath = Annotated[
-    Path, typer.Argument(help="TOML file: scene, t_end, frames, max_seconds; tables settings, over.")
-]
-SchedulerAddress = Annotated[
-    str | None, typer.Option(help="Address of a Dask scheduler (default: workers on this machine).")
-]
-Lanes = Annotated[
-    int | None, typer.Option(min=1, help="Cases side by side in one program, for GPUs; others wait.")
-]
-
-
-@app.command()
-def sweep(
-    file: SweepPath,
-    out: Annotated[Path | None, typer.Option(help="New netCDF file (default: FILE with .nc).")] = None,
-    backend: Annotated[str, typer.Option(help="auto, batch or processes.")] = "auto",
-    scheduler: SchedulerAddress = None,
-    lanes: Lanes = None,
-    max_seconds: Limit = None,
-    device: Device = None,
-) -> None:
-    """Run a scene over a grid of option values, and write all results to one netCDF file."""
-    use_device(device, scheduler)
-    from jaxcrumple.io.atomic import write_bytes
-    from jaxcrumple.simulation import frame_times
-    from jaxcrumple.sweeps.batch import LANES
-    from jaxcrumple.sweeps.file import read_sweep
-    from jaxcrumple.sweeps.sweep import sweep
-
-    limit, asked = _seconds(max_seconds), read_sweep(file)
-    path = out or file.with_suffix(".nc")
-    if path.exists():
-        raise ValueError(f"{path} exists; give another --out, or remove it.")
-    check_place(path, "--out")
-    again = command("campaign", file)
-    with noted(lambda: f"a sweep saves nothing before its end; to save each run, use: {again}"):
-        table = sweep(
-            asked.scene,
-            asked.over,
-            frame_times(asked.end, asked.frames or 1)[1:],
-            settings=asked.settings,
-            backend=backend,  # type: ignore[arg-type]
-            cluster=scheduler,
-            lanes=LANES if lanes is None else lanes,
-            max_seconds=asked.max_seconds if limit is None else limit,
-            tell=tell_case,
-        )
-    write_bytes(path, bytes(table.to_netcdf(engine="scipy")))
-    say(f"{table.result.size} runs in {table.attrs['seconds']:.0f} s: {path}")
-    _all_must_succeed(bool((table.result == "success").all()))
-
-
-@app.command()
-def campaign(
-    file: SweepPath,
-    out: Annotated[Path | None, typer.Option(help="Folder of all runs (default: runs/FILE).")] = None,
-    scheduler: SchedulerAddress = None,
-    lanes: Lanes = None,
-    max_seconds: Limit = None,
-    device: Device = None,
-) -> None:
-    """Run a scene over a grid, one resumable run folder per case; run again to complete the missing ones."""
-    use_device(device, scheduler)
-    from jaxcrumple.sweeps.campaign import campaign
-    from jaxcrumple.sweeps.cases import grid
-    from jaxcrumple.sweeps.file import read_sweep
-
-    limit, asked, folder = _seconds(max_seconds), read_sweep(file), out or Path("runs") / file.stem
-    frames = {} if asked.frames is None else {"frames": asked.frames}
-    runs = grid(asked.scene, asked.over, asked.settings | frames, t_end=asked.end)
-    limit = asked.max_seconds if limit is None else limit
-    before = sum((folder / name / "summary.json").exists() for name in runs)
-    say(f"{len(runs)} runs, {before} of them ended before; each kind of run compiles first, a minute or so")
-    with noted(lambda: f"what was saved is kept in {folder}; go on with the same command"):
-        table = campaign(runs, folder, cluster=scheduler, lanes=lanes or 1, max_seconds=limit, tell=tell_case)
-    say(f"{len(table)} runs: {folder / 'campaign.csv'}")
-    _all_must_succeed(bool((table["result"] == "success").all()))
-
-
-@app.command()
-def ensemble(
-    folder: Annotated[Path, typer.Argument(help="Folder of a campaign, ended or not.")],
-) -> None:
-    """Write mean, spread and interval over the seeds of each measure of a campaign to its ensemble.csv."""
-    from jaxcrumple.sweeps.ensemble import write_ensemble
-
-    statistics, path = write_ensemble(folder)
-    tell_ensemble(statistics)
-    say(f"mean, standard deviation and 95 % interval of all measures: {path}")
-
-
-app.command()(figure)
-
-
-def _all_must_succeed(success: bool) -> None:
-    if not success:
-        raise typer.Exit(ENDED)
+for of_many in (sweep, campaign, ensemble, figure):
+    app.command()(of_many)
 
 
 @app.command()

@@ -3,8 +3,10 @@
 import inspect
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Literal
 
+import equinox as eqx
 import jax
 import numpy as np
 import xarray as xr
@@ -17,11 +19,15 @@ from jaxcrumple.simulation import Times, checked_times
 from jaxcrumple.solvers.scheme import Integrator
 from jaxcrumple.state import initial_state
 from jaxcrumple.sweeps.batch import LANES, require_lanes
+from jaxcrumple.sweeps.case_files import kept_in
 from jaxcrumple.sweeps.case_members import run_cases
+from jaxcrumple.sweeps.case_run import Plan, complete
 from jaxcrumple.sweeps.cases import Case, Grid, Limits, Scenes, Seeds, cases_of, checked_grid
 from jaxcrumple.sweeps.cluster import Cluster, local_workers
+from jaxcrumple.sweeps.measures import Measure, measured, standard_measure
+from jaxcrumple.sweeps.outcome import Outcome
 from jaxcrumple.sweeps.processes import run_processes
-from jaxcrumple.sweeps.table import Measure, Tell, check_names, measured, standard_measure, table
+from jaxcrumple.sweeps.table import Tell, check_names, table
 
 Backend = Literal["auto", "batch", "processes"]
 
@@ -40,6 +46,7 @@ def sweep(
     cluster: Cluster = None,
     devices: Sequence[jax.Device] | None = None,
     lanes: int = LANES,
+    folder: str | Path | None = None,
     max_attempts: int | None = None,
     max_seconds: float | None = None,
     tell: Tell = lambda name, result: None,
@@ -66,6 +73,9 @@ def sweep(
     - `cluster`: for the workers: a Dask cluster, a Dask client or the address of a scheduler; by default
       workers on this machine, one per core.
     - `lanes`: most cases side by side in a batch; the others wait, and take the places of those that ended.
+    - `folder`: where each case saves its measured values and its state, at frames and between them. The same
+      call with this folder goes on after a kill, or after the loss of a worker; it only reads cases that have
+      ended, and it may vary more values than before. Cases with the result "error" or "budget" go on, too.
     - `max_attempts`, `max_seconds`: step attempts, and wall time in s without compile time, after which a
       case ends with the result "budget". The wall time of a lane is that of the calls in which it took part.
     - `tell`: callback, called with name and result of each case as it ends.
@@ -75,7 +85,8 @@ def sweep(
     not stop the others. A case that raises an exception, e.g. in `measure`, has the result "error" and a
     `message`.
 
-    **Raises:** ValueError for impossible values and cases, before any case runs.
+    **Raises:** ValueError for impossible values and cases, and `RunDirectoryError` for a folder that holds
+    something else, before any case runs.
     """
     backend = _chosen(backend, cluster, devices)
     if max_attempts is not None and max_attempts < 1:
@@ -91,17 +102,40 @@ def sweep(
     settings = {} if settings is None else settings
     grid = checked_grid(over, settings, seeds)
     cases = cases_of(scene, grid, settings, float(stops[-1]), solver, linear)
-    first = _try(cases[0], grid, measure)
+    first, names = _try(cases[0], grid, measure)
+    plan = Plan(stops, measure, limits, None if folder is None else Path(folder).absolute())
     start = time.perf_counter()
-    if backend == "batch":
-        place = jax.devices() if devices is None else devices
-        outcomes = run_cases(cases, stops, measure, limits, place, lanes, tell)
-    else:
-        workers = local_workers(cluster, len(cases))
+
+    def run(missing: list[Case]) -> list[Outcome]:
+        if backend == "batch":
+            return run_cases(missing, plan, jax.devices() if devices is None else devices, lanes, tell)
+        workers = local_workers(cluster, len(missing))
         require_run(first.scene.n_nodes, len(stops), first.scene.contact is not None, workers)
-        outcomes = run_processes(cases, stops, measure, limits, cluster, tell)
-    attributes = {"backend": backend, "seconds": time.perf_counter() - start}
-    return table(grid, stops, outcomes, attributes)
+        return run_processes(missing, plan, cluster, tell)
+
+    if plan.folder is None:
+        outcomes = run(cases)
+    else:
+        with kept_in(plan.folder, _shared(scene, plan, settings, names, cases[0])):
+            outcomes = complete(cases, first, plan, run, tell)
+    return table(grid, stops, outcomes, {"backend": backend, "seconds": time.perf_counter() - start})
+
+
+def _shared(
+    scene: Scenes, plan: Plan, settings: Mapping[str, Any], names: Sequence[str], case: Case
+) -> dict[str, Any]:
+    """Return what all cases of a sweep in a folder share, as JSON types."""
+    plain = {
+        key: value if isinstance(value, str | int | float | None) else type(value).__name__
+        for key, value in settings.items()
+    }
+    return {
+        "scene": scene if isinstance(scene, str) else getattr(scene, "__qualname__", type(scene).__name__),
+        "settings": plain,
+        "times": plan.times,
+        "measured values": names,
+        "solver": eqx.tree_pformat(case.solver, short_arrays=False, width=10**6),
+    }
 
 
 def _chosen(backend: Backend, cluster: Cluster, devices: Sequence[jax.Device] | None) -> Backend:
@@ -124,8 +158,8 @@ def _chosen(backend: Backend, cluster: Cluster, devices: Sequence[jax.Device] | 
     return backend
 
 
-def _try(case: Case, grid: Grid, measure: Measure) -> Setup:
-    """Measure the start of a case before any case runs, and return its setup.
+def _try(case: Case, grid: Grid, measure: Measure) -> tuple[Setup, list[str]]:
+    """Measure the start of a case before any case runs; return its setup and the names of measured values.
 
     **Raises:** ValueError for a case that cannot be built, an invalid measure, or a reserved name; and any
     error that `measure` raises.
@@ -137,5 +171,6 @@ def _try(case: Case, grid: Grid, measure: Measure) -> Setup:
             f"measure must be a function of a case's Setup and a State that returns values by name: {error}."
         ) from error
     setup = case.build()
-    check_names(grid, measured(measure, setup, initial_state(setup.scene, setup.x)))
-    return setup
+    found = measured(measure, setup, initial_state(setup.scene, setup.x))
+    check_names(grid, found)
+    return setup, sorted(map(str, found.data_vars))

@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 
 import jaxcrumple as jc
-from jaxcrumple.sweeps import cases, cluster, processes, run_members
+from jaxcrumple.sweeps import case_run, cases, cluster, processes, run_members
 from jaxcrumple.sweeps.errors import WorkersLostError
-from jaxcrumple.sweeps.table import Outcome
+from jaxcrumple.sweeps.outcome import Outcome
 
 # The package has a function of this name too.
 campaigns = __import__("importlib").import_module("jaxcrumple.sweeps.campaign")
@@ -143,7 +143,7 @@ def test_cases_that_were_not_done_are_errors(monkeypatch):
 
     def run_all(client, function, jobs):
         if function is processes.run_case:
-            assert all(job[-1] == limits for job in jobs)
+            assert all(job[-1] is plan for job in jobs)
             yield 1, Done(Outcome("success", [], None))
             raise WorkersLostError("gone")
         yield from ((index, Done(None)) for index in range(len(jobs)))
@@ -153,8 +153,8 @@ def test_cases_that_were_not_done_are_errors(monkeypatch):
     limits = cases.Limits(np.inf, 60.0)
     grid = cases.checked_grid({"load": [0.1, 0.2, 0.3]}, {})
     three = cases.cases_of("arch", grid, {"nodes": 60}, 1e-4, None, "auto")
-    times = np.array([1e-4])
-    found = processes.run_processes(three, times, lambda *_: {}, limits, None, lambda *row: told.append(row))
+    plan = case_run.Plan(np.array([1e-4]), lambda *_: {}, limits)
+    found = processes.run_processes(three, plan, None, lambda *row: told.append(row))
     assert [outcome.result for outcome in found] == ["error", "success", "error"]
     assert [outcome.message for outcome in found] == ["WorkersLostError: gone", "", "WorkersLostError: gone"]
     assert sorted(result for _, result in told) == ["error", "error", "success"]

@@ -55,8 +55,9 @@ def test_a_limit_of_wall_time_is_read(file):
     assert read_sweep(file).max_seconds == 1800.0
 
 
-def test_the_command_writes_a_table_and_overwrites_none(file):
-    arguments = ["sweep", str(file), "--backend", "batch"]
+def test_the_command_writes_a_table_and_overwrites_none(file, tmp_path):
+    folder = tmp_path / "kept"
+    arguments = ["sweep", str(file), "--backend", "batch", "--folder", str(folder)]
     result = CliRunner().invoke(app, arguments, catch_exceptions=False)
     assert result.exit_code == 0, result.output
     table = xr.load_dataset(file.with_suffix(".nc"), engine="scipy")
@@ -65,6 +66,8 @@ def test_the_command_writes_a_table_and_overwrites_none(file):
     np.testing.assert_allclose(table.time, [5e-5, 1e-4])
     assert np.all(table.energy.sel(term="gravity") == 0.0)
     assert table.energy.units == "J" and table.crease_length.units == "m"
+    names = {f"load={load},max_step=none.nc" for load in (0.2, 0.1)}
+    assert {path.name for path in folder.iterdir()} == {*names, "sweep.json", ".lock"}
     with pytest.raises(ValueError, match="exists; give another --out"):
         CliRunner().invoke(app, arguments, catch_exceptions=False)
 
