@@ -14,6 +14,7 @@ import xarray as xr
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.memory import require_run
 from jaxcrumple._jax.tree import require_limit
+from jaxcrumple.io.sketch import sketch
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.simulation import Times, checked_times
 from jaxcrumple.solvers.scheme import Integrator
@@ -76,6 +77,7 @@ def sweep(
     - `folder`: where each case saves its measured values and its state, at frames and between them. The same
       call with this folder goes on after a kill, or after the loss of a worker; it only reads cases that have
       ended, and it may vary more values than before. Cases with the result "error" or "budget" go on, too.
+      Workers of a `cluster` must have access to it.
     - `max_attempts`, `max_seconds`: step attempts, and wall time in s without compile time, after which a
       case ends with the result "budget". The wall time of a lane is that of the calls in which it took part.
     - `tell`: callback, called with name and result of each case as it ends.
@@ -116,26 +118,32 @@ def sweep(
     if plan.folder is None:
         outcomes = run(cases)
     else:
-        with kept_in(plan.folder, _shared(scene, plan, settings, names, cases[0])):
+        solved_by = settings.get("linear", linear) if isinstance(scene, str) else cases[0].solver
+        with kept_in(plan.folder, _shared(scene, plan, settings, names, solved_by)):
             outcomes = complete(cases, first, plan, run, tell)
     return table(grid, stops, outcomes, {"backend": backend, "seconds": time.perf_counter() - start})
 
 
 def _shared(
-    scene: Scenes, plan: Plan, settings: Mapping[str, Any], names: Sequence[str], case: Case
+    scene: Scenes, plan: Plan, settings: Mapping[str, Any], names: Sequence[str], solver: Any
 ) -> dict[str, Any]:
     """Return what all cases of a sweep in a folder share, as JSON types."""
-    plain = {
-        key: value if isinstance(value, str | int | float | None) else type(value).__name__
-        for key, value in settings.items()
-    }
     return {
         "scene": scene if isinstance(scene, str) else getattr(scene, "__qualname__", type(scene).__name__),
-        "settings": plain,
+        "settings": {key: _plain(value) for key, value in settings.items()},
         "times": plan.times,
         "measured values": names,
-        "solver": eqx.tree_pformat(case.solver, short_arrays=False, width=10**6),
+        "solver": eqx.tree_pformat(solver, short_arrays=False, width=10**6),
     }
+
+
+def _plain(value: Any) -> Any:
+    """Return a word or a number as it is, and of other objects their type and a sketch of their arrays."""
+    if value is None or isinstance(value, str | int | float):
+        return value
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    return [type(value).__name__, *sketch(value)]
 
 
 def _chosen(backend: Backend, cluster: Cluster, devices: Sequence[jax.Device] | None) -> Backend:
