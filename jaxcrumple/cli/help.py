@@ -12,7 +12,7 @@ from jaxcrumple.cli.console import say
 
 PACKAGES = (
     "jaxcrumple", "jax", "jaxlib", "numpy", "scipy", "equinox", "diffrax", "optax", "pardiso-mkl-jax",
-    "embreex", "matplotlib", "h5py", "meshio",
+    "embreex", "matplotlib", "h5py", "h5netcdf", "meshio",
 )  # fmt: skip
 # First letters of the variables of the environment that matter.
 SETTINGS = ("JAX_", "XLA_", "OMP_", "MKL_", "CUDA")
