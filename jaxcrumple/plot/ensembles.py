@@ -62,7 +62,7 @@ def _draw_laws(axes: Axes, found: EnsembleGrowth, confidence: float) -> None:
     low, high = np.quantile(curves, [0.5 * (1 - confidence), 0.5 * (1 + confidence)], axis=0)
     axes.plot(fine, np.transpose([low, high]), color=THEORY, linewidth=0.7)
     for law, (c1, c2, rss, aicc, best) in found.laws[["c1", "c2", "rss", "aicc", "best"]].iterrows():
-        fit = f"AICc {aicc:.1f}" if np.isfinite(aicc) else f"rms {_rms(rss, found):.2g} mm"
+        fit = f"AICc {aicc:.1f}" if np.isfinite(aicc) else f"rms {_rms(rss, found):.3g} mm"
         color, style = (FAINT, OTHERS[law]) if law in OTHERS else (THEORY, "--")
         label = f"{law}: {fit}, best in {100 * best:.0f} % of resamples"
         axes.plot(fine, LAWS[law](fine, c1, c2), style, color=color, label=label)
