@@ -63,7 +63,17 @@ EXAMPLES = [
 ]
 
 
-@pytest.mark.parametrize("example", EXAMPLES, ids=lambda test: test.name)
+# Compiles for a minute; tests/replays/test_stack.py tests the same on a smaller sheet.
+SLOW = "jaxcrumple.stack_records"
+
+
+@pytest.mark.parametrize(
+    "example",
+    [
+        pytest.param(test, id=test.name, marks=pytest.mark.slow if test.name == SLOW else ())
+        for test in EXAMPLES
+    ],
+)
 def test_an_example_prints_what_it_shows(example):
     told = []
     assert not doctest.DocTestRunner(optionflags=FLAGS).run(example, out=told.append).failed, "".join(told)

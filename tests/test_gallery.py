@@ -44,7 +44,10 @@ SMALL = {
     "thickness": {"across": 8, "pixels": 100},
 }
 # Compile for more than 20 s of CPU time.
-LONG = ("calibration", "crease_gradient", "scanned_mesh", "ridge")
+LONG = (
+    "axial", "calibration", "conical", "crease_gradient", "cylindrical", "dcone", "ensemble", "phase_diagram",
+    "ridge", "scanned_mesh", "snap", "stamping", "thickness",
+)  # fmt: skip
 # Largest size of a picture in bytes.
 LARGEST = 100_000
 
