@@ -43,6 +43,9 @@ SLACK, MOST_SLACK, NEXT_SLACK = 0.05, 0.25, 0.01
 MARGIN, LOOSE = 1.2, 2.0
 # Skin in ranges of a list of site pairs around an iterate, and of the candidates for it.
 AROUND, WIDER = 0.4, 0.6
+# Largest skin in ranges of a list of site pairs around an iterate that may ask for more capacity. Around an
+# iterate further away there may be 30 times as many pairs, and all later steps would carry their arrays.
+ASTRAY = 1.5
 # Largest skin of a list of site pairs in ranges if triangles are near; the factor absorbs rounding.
 LONGEST = 1.01 * (MOST_SLACK + PAIRS.floor + 0.5 * MARGIN * STRIDE)
 
@@ -274,8 +277,9 @@ def around(scene: Scene, state: State, schedule: Schedule, x: NodeVectors) -> tu
         listing,
         (candidates, pairs, nowhere(scene.n_nodes)),
     )
-    # A list with too many entries asks for more capacity then, and not for a shorter step.
-    short, status = jnp.asarray(True), ListStatus.REBUILD_PAIRS.array
+    # A list with too many entries asks for more capacity then, and not for a shorter step, unless the iterate
+    # is astray.
+    short, status = jnp.max(pairs.skin) <= ASTRAY * sigma, ListStatus.REBUILD_PAIRS.array
     schedule = schedule._replace(candidates=candidates, pairs=pairs, short=short, status=status)
     return eqx.tree_at(lambda s: s.listing, state, listing), schedule
 
@@ -288,13 +292,13 @@ def _status(
     contact, listing, lists = scene.contact, state.listing, schedule.lists
     assert contact is not None and listing is not None
     candidates_cover = listing.candidates.covers(ahead, margin) & (schedule.turn < DUE_TURN)
-    crowded = _crowded(scene, schedule)
+    too_many = crowded(scene, schedule)
     pairs_cover = listing.pairs.covers(state.x) & listing.pairs.covers(ahead, margin)
     pairs_cover = pairs_cover & ~lists.pairs.overflow & ~loose
     reasons = {
         ListStatus.REBUILD_LISTED: ~_made(schedule),
         ListStatus.REBUILD_CANDIDATES: ~candidates_cover,
-        ListStatus.STEP_TOO_LONG: crowded,
+        ListStatus.STEP_TOO_LONG: too_many,
         ListStatus.REBUILD_PAIRS: ~pairs_cover,
         ListStatus.WAIT_MATRIX: ~_have_entries(scene, schedule),
     }
@@ -316,7 +320,7 @@ def still_ready(
     schedule = schedule._replace(candidates=listing.candidates, pairs=listing.pairs)
     margin = NEXT_SLACK * contact.range + differs
     holds = listing.candidates.covers(ahead, margin) & listing.pairs.covers(ahead, margin)
-    holds = holds & ~schedule.lists.pairs.overflow & ~_crowded(scene, schedule) & _made(schedule)
+    holds = holds & ~schedule.lists.pairs.overflow & ~crowded(scene, schedule) & _made(schedule)
     return holds & (schedule.turn < DUE_TURN) & (state.monitor.steps > 0)
 
 
@@ -338,9 +342,9 @@ def _far(contact: Contact, schedule: Schedule) -> Flag:
     return ~schedule.short & (jnp.max(schedule.pairs.skin) > LONGEST * contact.range)
 
 
-def _crowded(scene: Scene, schedule: Schedule) -> Flag:
-    """Return whether the list of site pairs for so long a step has so many entries that a shorter step is
-    better."""
+def crowded(scene: Scene, schedule: Schedule) -> Flag:
+    """Return whether the list of site pairs for so long a step, or around an iterate so far away, has so many
+    entries that a shorter step is better."""
     # Compare with the first capacities. The current ones grow during a run, and a resumed run would decide
     # differently.
     assert scene.contact is not None

@@ -97,6 +97,10 @@ class AbstractImplicit(eqx.Module):
         """Return the positions (n, 3) that the contact lists must cover to go on."""
 
     @abc.abstractmethod
+    def given_up(self, begun: Any, when: Flag) -> Any:
+        """Let the equations count as impossible to solve if `when`."""
+
+    @abc.abstractmethod
     def end(self, scene: Scene, state: State, h: Scalar, begun: Any, factor: Factor) -> ImplicitAttempt:
         """Judge the step."""
 

@@ -102,6 +102,10 @@ class BDFPair(AbstractImplicit):
         """Return the iterate (n, 3)."""
         return begun.iteration.x
 
+    def given_up(self, begun: "_Pair", when: Flag) -> "_Pair":
+        """Let the iteration fail if `when`."""
+        return begun._replace(iteration=begun.iteration.failing(when))
+
     def end(self, scene: Scene, state: State, h: Scalar, begun: "_Pair", factor: Factor) -> ImplicitAttempt:
         """Judge the step."""
         order, found = _order(state), begun.iteration

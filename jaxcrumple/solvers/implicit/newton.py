@@ -89,6 +89,10 @@ class NewtonIteration(NamedTuple):
         over = self.converged | self.failed | (self.restores & (self.iterations > 0))
         return over | (self.iterations >= most)
 
+    def failing(self, when: Flag) -> "NewtonIteration":
+        """Return the iteration, failed if `when`."""
+        return self._replace(failed=self.failed | when)
+
 
 def begin(
     step: ImplicitStep,

@@ -8,7 +8,7 @@ from jaxcrumple._jax.arrays import Flag, ScalarLike
 from jaxcrumple._jax.tree import select
 from jaxcrumple.contact.coverage import covers
 from jaxcrumple.scene import Scene
-from jaxcrumple.solvers.contact.schedule import around, largest_move, listed, rescheduled
+from jaxcrumple.solvers.contact.schedule import around, crowded, largest_move, listed, rescheduled
 from jaxcrumple.solvers.implicit.base import ImplicitAttempt, aligns
 from jaxcrumple.solvers.implicit.bdf import push
 from jaxcrumple.solvers.log import follow
@@ -76,6 +76,8 @@ def _attempt(scene: Scene, carry: Carry, solver: Integrator) -> Carry:
         lambda: trial.begun,
         lambda: implicit.begin(now, state, proposed.h, carry.held),
     )
+    if carry.schedule is not None:
+        begun = implicit.given_up(begun, trial.underway & crowded(scene, carry.schedule))
     begun, factor = implicit.go_on(now, state, proposed.h, begun, carry.factor)
     carry = carry._replace(factor=factor, trial=Trial(jnp.asarray(True), proposed, begun))
     over = implicit.is_over(begun)

@@ -107,6 +107,10 @@ class VariableOrder(AbstractImplicit):
         """Return the iterate (n, 3)."""
         return begun.x
 
+    def given_up(self, begun: NewtonIteration, when: Flag) -> NewtonIteration:
+        """Let the iteration fail if `when`."""
+        return begun.failing(when)
+
     def end(
         self, scene: Scene, state: State, h: Scalar, begun: NewtonIteration, factor: Factor
     ) -> ImplicitAttempt:
