@@ -14,8 +14,16 @@ from jaxcrumple import simulation
 from jaxcrumple.contact.adjacency import PLACED_TURN
 from jaxcrumple.contact.host_broad_phase import Search
 from jaxcrumple.contact.lists import Capacity, Reference, pair_key
+from jaxcrumple.solvers.contact import schedule as schedules
 from jaxcrumple.solvers.contact.reallocate import PLACES, Reallocation, _with_sizes
-from jaxcrumple.solvers.contact.schedule import largest_move, ready_for, renewed, start_schedule
+from jaxcrumple.solvers.contact.schedule import (
+    around,
+    crowded,
+    largest_move,
+    ready_for,
+    renewed,
+    start_schedule,
+)
 from jaxcrumple.solvers.log import empty_log
 from jaxcrumple.state import EXPLICIT, IMPLICIT
 
@@ -144,6 +152,22 @@ def test_what_is_only_near_a_long_step_makes_it_short_and_needs_no_room(room):
     assert ready
     # A node moves 6 ranges against the mean: all at once, and then by one at most.
     assert shares[0] == 1.0 and shares[-1] == pytest.approx(1.0 / 6.0, rel=1e-6)
+
+
+def test_around_an_iterate_astray_no_room_is_needed(monkeypatch):
+    """Where many pairs are near: the step fails instead. Around a close one the lists grow."""
+    scene, state = pressed_layers()
+    least = Capacity(1, 1, 1)
+    monkeypatch.setattr(schedules, "first_capacity", lambda nodes: least)
+    tight = _with_sizes(scene, least, 10_000)
+    upper = state.x[:, 2] > jnp.mean(state.x[:, 2])
+    for ranges, grows in ((1.0, True), (6.0, False)):
+        x = state.x + jnp.where(upper[:, None], jnp.asarray([0.0, 0.0, ranges * SIGMA]), 0.0)
+        fresh, schedule = start_schedule(tight, state, False)
+        asked, schedule = renewed(tight, *around(tight, fresh, schedule, x))
+        assert np.all(schedule.lists.pairs.needed > 1)
+        assert bool(np.any(asked.listing.needed)) is grows
+        assert bool(crowded(tight, schedule)) is not grows
 
 
 @pytest.mark.parametrize("short", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 4))])
