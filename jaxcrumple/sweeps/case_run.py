@@ -58,25 +58,28 @@ class CaseRun:
         self.frames.append(measured(self.plan.measure, self.setup, state))
         if self.files is not None and index + 1 < len(self.plan.times):
             self.files.save_frames(self.frames, self.built)
-            self.files.save_state(state, len(self.frames), self.built)
+            self._save(state)
 
     def chunk(self, state: State, history: pd.DataFrame, events: pd.DataFrame, frames: int) -> None:
         """Save the state."""
-        if self.files is not None:
-            self.files.save_state(state, len(self.frames), self.built)
+        self._save(state)
 
     def end(self, state: State, result: str) -> Outcome:
         """Return the outcome, and save it unless the case can go on."""
         outcome = Outcome(result, self.frames, spent_by(state))
-        if self.files is not None and result not in UNFINISHED:
-            self.files.finish(outcome, self.built)
+        if result in UNFINISHED:
+            self._save(state)
         elif self.files is not None:
-            self.files.save_state(state, len(self.frames), self.built)
+            self.files.finish(outcome, self.built)
         return outcome
 
     def fail(self, error: Exception) -> Outcome:
         """Return the outcome of a case that an exception ended; the next call tries it again."""
         return broken(error, self.frames)
+
+    def _save(self, state: State) -> None:
+        if self.files is not None:
+            self.files.save_state(state, len(self.frames), self.built)
 
 
 def complete(
