@@ -5,7 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import scipy.sparse as sparse
+import scipy
 from jaxtyping import Array, Bool, Float
 
 from jaxcrumple._jax.arrays import (
@@ -345,7 +345,7 @@ def _eliminate(
 
 
 @door
-def tangent(scene: Scene, state: State) -> sparse.csr_array:
+def tangent(scene: Scene, state: State) -> "scipy.sparse.csr_array":
     """Compute the stiffness matrix (3n, 3n) in N/m: the Hessian of the potential energy at fixed p.
 
     It contains the exact second derivatives of appendix A, geometric stiffness included, so that it may be
@@ -367,19 +367,19 @@ def tangent(scene: Scene, state: State) -> sparse.csr_array:
     size = 3 * scene.n_nodes
     pattern = scene.sparsity
     own = values[: pattern.nnz]
-    upper = sparse.csr_array(
+    upper = scipy.sparse.csr_array(
         (own, np.asarray(pattern.indices), np.asarray(pattern.indptr)), shape=(size, size)
     )
     if pattern.contact is not None:
         upper = upper + pattern.contact.upper(values[pattern.nnz :], size)
-    return sparse.csr_array(upper + sparse.triu(upper, k=1).T)
+    return scipy.sparse.csr_array(upper + scipy.sparse.triu(upper, k=1).T)
 
 
 @door
-def mass_matrix(scene: Scene) -> sparse.dia_array:
+def mass_matrix(scene: Scene) -> "scipy.sparse.dia_array":
     """Return the lumped, diagonal mass matrix (3n, 3n) in kg, for the eigenmodes of `tangent`.
 
     **Raises:** ValueError if `scene` is not a Scene.
     """
     require_scene(scene)
-    return sparse.diags_array(np.repeat(np.asarray(scene.mass), 3))
+    return scipy.sparse.diags_array(np.repeat(np.asarray(scene.mass), 3))

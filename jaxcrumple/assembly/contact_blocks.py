@@ -8,7 +8,7 @@ solver needs all blocks in one matrix; `Merger` builds its structure on the host
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import scipy.sparse as sparse
+import scipy
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxcrumple._jax.arrays import Count, Flag, NodeValues, NodeVectors
@@ -86,7 +86,7 @@ class ContactBlocks(eqx.Module):
         """Return the diagonal correction (n,) for uses of the sheet's part without the contact blocks."""
         return appended[self.size :]
 
-    def upper(self, appended: Float[np.ndarray, " appended"], size: int) -> sparse.csr_array:
+    def upper(self, appended: Float[np.ndarray, " appended"], size: int) -> "scipy.sparse.csr_array":
         """Convert the appended values to the upper triangle of a matrix (size, size)."""
         nodes = np.asarray(self.nodes)
         row = np.broadcast_to(
@@ -95,8 +95,8 @@ class ContactBlocks(eqx.Module):
         column = np.broadcast_to(
             3 * nodes[:, None, 3:, None, None] + np.arange(3), (len(nodes), 3, 3, 3, 3)
         ).reshape(-1)
-        matrix = sparse.csr_array((appended[: self.size], (row, column)), shape=(size, size))
-        return sparse.csr_array(sparse.triu(matrix + matrix.T))
+        matrix = scipy.sparse.csr_array((appended[: self.size], (row, column)), shape=(size, size))
+        return scipy.sparse.csr_array(scipy.sparse.triu(matrix + matrix.T))
 
     def merge(
         self, own: Float[Array, " entries"], appended: Float[Array, " appended"]

@@ -3,8 +3,8 @@
 import itertools
 
 import numpy as np
+import scipy
 from jaxtyping import ArrayLike, Bool, Float, Int
-from scipy.spatial import cKDTree
 
 from jaxcrumple._jax.stored_programs import StoredJit
 from jaxcrumple._jax.tree import as_array
@@ -94,7 +94,7 @@ def _tree_pairs(
     The spheres have radius `radius` (f,) + `room` (f,), all in m. Returns the pairs (m, 2), lower index
     first; some occur twice.
     """
-    tree = cKDTree(center)
+    tree = scipy.spatial.cKDTree(center)
     common = np.quantile(room, 1.0 - FAST)
     usual = 2.0 * radius.max() + sigma + 2.0 * common
     pairs = [_in_balls(center, radius + room, sigma, tree.query_pairs(usual, output_type="ndarray").T, 0.0)]

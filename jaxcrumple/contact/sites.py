@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Array, Float, Int
-from scipy.spatial import cKDTree
 
 from jaxcrumple._jax.arrays import Scalar
 from jaxcrumple._jax.memory import require, require_indices, times_that_fit
@@ -96,7 +96,7 @@ def require_candidates(mesh: Mesh, sigma: float) -> None:
     corners = mesh.vertices[mesh.faces]
     center = corners.mean(axis=1)
     widest = 2.0 * float(np.linalg.norm(corners - center[:, None], axis=2).max())
-    tree = cKDTree(center)
+    tree = scipy.spatial.cKDTree(center)
     pairs = (float(tree.count_neighbors(tree, widest + sigma)) - faces) / 2.0
     cure = "give triangles of more equal size" if widest > sigma else "choose a smaller contact range"
     require(CANDIDATE * pairs, f"the broad phase with {pairs:.2g} candidate pairs of triangles", cure)

@@ -1,8 +1,8 @@
 """Self-intersections of a sheet: edges that pierce triangles, found with a k-d tree on the host."""
 
 import numpy as np
+import scipy
 from jaxtyping import ArrayLike, Bool, Float, Int, Integer
-from scipy.spatial import cKDTree
 
 from jaxcrumple._jax.arrays import NodeVectorsLike
 from jaxcrumple._jax.memory import require, times_that_fit
@@ -46,7 +46,7 @@ def close_pairs(
     first, last = ends.min(axis=1), ends.max(axis=1)
     center, middle = 0.5 * (low + high), 0.5 * (first + last)
     reach = 0.5 * (np.linalg.norm(high - low, axis=1).max() + np.linalg.norm(last - first, axis=1).max())
-    segments, triangles = cKDTree(middle), cKDTree(center)
+    segments, triangles = scipy.spatial.cKDTree(middle), scipy.spatial.cKDTree(center)
     if len(ends) and times_that_fit(PAIR * len(ends) * len(corners)) < 1.0:
         pairs = float(segments.count_neighbors(triangles, reach))
         what = f"the search among {pairs:.2g} pairs of segments and triangles, up to {reach:.3g} m apart,"

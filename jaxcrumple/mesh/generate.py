@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Protocol, SupportsIndex
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
-from scipy.spatial import Delaunay
 
 from jaxcrumple._jax.memory import require
 from jaxcrumple._jax.shared import shared
@@ -197,7 +197,7 @@ def _lloyd_mesh(domain: _Domain, nodes: int, seed: int, sweeps: int) -> Mesh:
         # boundary node is nearer to every point of the boundary.
         free = centroids(free, np.vstack([fixed, domain.mirror(free, spacing), guard]))
     points = np.vstack([fixed, free])
-    triangles = Delaunay(np.vstack([points, guard])).simplices
+    triangles = scipy.spatial.Delaunay(np.vstack([points, guard])).simplices
     mesh = Mesh.from_arrays(points, triangles[(triangles < nodes).all(axis=1)], reorder=True)
     if mesh.n_nodes != nodes:
         raise ValueError(f"two of the random nodes of seed = {seed} coincide; choose another seed")
@@ -231,7 +231,7 @@ def centroids(
     the circumcentres of the two Delaunay triangles beside the edge dual to it.
     """
     points = np.vstack([free, others])
-    mesh = Delaunay(points)
+    mesh = scipy.spatial.Delaunay(points)
     centre = _circumcentres(points, mesh.simplices)
     # Side k of a triangle runs from vertex k + 1 to k + 2, and neighbour k lies across it.
     site, across = np.roll(mesh.simplices, -1, axis=1), mesh.neighbors

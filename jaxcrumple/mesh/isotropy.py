@@ -10,10 +10,8 @@ import warnings
 from dataclasses import astuple, dataclass
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array, csc_array, eye_array
-from scipy.sparse.csgraph import breadth_first_order
-from scipy.sparse.linalg import spsolve
 
 from jaxcrumple.mesh.files import MeshWarning
 from jaxcrumple.mesh.mesh import Mesh, edge_numbers, half_edge_pairs
@@ -114,11 +112,11 @@ def flattened(mesh: Mesh) -> Float[np.ndarray, "nodes 2"] | None:
 def _patches(mesh: Mesh, size: int) -> list[Int[np.ndarray, "_ 3"]]:
     """Return the faces of patches of `size` nodes around centres that are spread over the sheet."""
     n = mesh.n_nodes
-    graph = coo_array((np.ones(len(mesh.edges)), tuple(mesh.edges.T)), shape=(n, n)).tocsr()
+    graph = scipy.sparse.coo_array((np.ones(len(mesh.edges)), tuple(mesh.edges.T)), shape=(n, n)).tocsr()
     patches = []
     # Node numbers usually follow a Hilbert curve, so equal steps spread the centres.
     for centre in np.linspace(0, n - 1, _PATCHES + 2).astype(int)[1:-1]:
-        near = breadth_first_order(graph, centre, directed=False, return_predecessors=False)[:size]
+        near = scipy.sparse.csgraph.breadth_first_order(graph, centre, directed=False)[0][:size]
         patches.append(mesh.faces[np.isin(mesh.faces, near).all(axis=1)])
     return patches
 
@@ -195,23 +193,25 @@ def _plate(
 
 def _rows(
     columns: Int[np.ndarray, "rows entries"], values: Float[np.ndarray, "rows entries"], width: int
-) -> csc_array:
+) -> scipy.sparse.csc_array:
     row = np.repeat(np.arange(len(columns)), columns.shape[1])
-    return coo_array((values.ravel(), (row, columns.ravel())), shape=(len(columns), width)).tocsc()
+    entries = values.ravel(), (row, columns.ravel())
+    return scipy.sparse.csc_array(entries, shape=(len(columns), width))
 
 
 def _relaxed(
-    change: csc_array, affine: Float[np.ndarray, "rows 3"], weight: Float[np.ndarray, " rows"]
+    change: scipy.sparse.csc_array, affine: Float[np.ndarray, "rows 3"], weight: Float[np.ndarray, " rows"]
 ) -> Float[np.ndarray, "3 3"]:
     """Energy (3, 3) of affine elongations (m, 3), minimised over displacements u that add `change` @ u."""
     weighted = weight[:, None] * affine
     energy = affine.T @ weighted
     if change.shape[1]:
         force = change.T @ weighted
-        tangent = (change.T @ (coo_array((weight, (range(len(weight)),) * 2)) @ change)).tocsc()
+        tangent = change.T @ (scipy.sparse.diags_array(weight) @ change)
         # A node that a degenerate mesh leaves without stiffness must not make the matrix singular.
-        tangent = tangent + 1e-12 * tangent.diagonal().max() * eye_array(tangent.shape[0], format="csc")
-        energy = energy - force.T @ spsolve(tangent, force, permc_spec="MMD_AT_PLUS_A")
+        least = np.full(tangent.shape[0], 1e-12 * tangent.diagonal().max())
+        tangent = (tangent + scipy.sparse.diags_array(least)).tocsc()
+        energy = energy - force.T @ scipy.sparse.linalg.spsolve(tangent, force, permc_spec="MMD_AT_PLUS_A")
     return energy
 
 

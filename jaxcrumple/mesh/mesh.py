@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from jaxtyping import ArrayLike, Float, Int, Real, Shaped
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from jaxcrumple.mesh.files import MeshError
 from jaxcrumple.mesh.files.sheet import read_sheet
@@ -343,7 +342,8 @@ def half_edge_pairs(
 def _components(
     size: int, a: Int[np.ndarray, " links"], b: Int[np.ndarray, " links"]
 ) -> tuple[int, Int[np.ndarray, " members"]]:
-    return connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(size, size)), directed=False)
+    graph = scipy.sparse.coo_array((np.ones(len(a)), (a, b)), shape=(size, size))
+    return scipy.sparse.csgraph.connected_components(graph, directed=False)
 
 
 def _checked_topology(faces: Int[np.ndarray, "faces 3"]) -> Int[np.ndarray, "faces 3"]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import SupportsIndex
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import Delaunay, cKDTree
 
 from jaxcrumple.mesh.generate import centroids, guard_points, lattice_spacing, whole_number
 from jaxcrumple.mesh.isotropy import flattened
@@ -50,7 +50,7 @@ def remeshed(
         moved = centroids(free, np.vstack([fixed.points, images, guard]))
         free = np.where(fixed.contains(moved)[:, None], moved, free)
     points = np.vstack([fixed.points, free])
-    triangles = Delaunay(np.vstack([points, guard])).simplices
+    triangles = scipy.spatial.Delaunay(np.vstack([points, guard])).simplices
     triangles = triangles[(triangles < nodes).all(axis=1)]
     triangles = triangles[fixed.contains(points[triangles].mean(axis=1))]
     new = _placed(mesh, plane, points, triangles)
@@ -117,7 +117,7 @@ class _Outline:
 
     def sample(self, rng: np.random.Generator, count: int, spacing: float) -> Float[np.ndarray, "nodes 2"]:
         """Uniform random positions (count, 2) inside, away from the boundary."""
-        tree, found = cKDTree(self.points), np.zeros((0, 2))
+        tree, found = scipy.spatial.cKDTree(self.points), np.zeros((0, 2))
         low, high = self.points.min(axis=0), self.points.max(axis=0)
         # A point on a side is up to half a spacing from its ends.
         reach = spacing * np.hypot(_INSET, 0.5)
@@ -132,7 +132,8 @@ class _Outline:
     def mirror(self, points: Float[np.ndarray, "points 2"], depth: float) -> Float[np.ndarray, "images 2"]:
         """Return mirror images, outside the region, of points within `depth` of a side and beside it."""
         count = min(3, len(self.points))
-        near = cKDTree((self.points + self.ends) / 2).query(points, count)[1].reshape(len(points), count)
+        middle = scipy.spatial.cKDTree((self.points + self.ends) / 2)
+        near = middle.query(points, count)[1].reshape(len(points), count)
         images = []
         for side in near.T:
             a, along = self.points[side], self.ends[side] - self.points[side]

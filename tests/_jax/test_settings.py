@@ -37,6 +37,29 @@ def test_help_needs_no_jax(words):
     assert printed(program)[-2:] == ["False", "False"]
 
 
+def test_a_refusal_needs_no_library_of_the_run(tmp_path):
+    (tmp_path / "scene.toml").write_text('scene = "radial"\n[options]\nradiu = 0.1\n')
+    program = (
+        f"import sys; sys.argv = ['jaxcrumple', 'run', {str(tmp_path / 'scene.toml')!r}]\n"
+        "from jaxcrumple.cli.cli import main\n"
+        "try: main()\n"
+        "except SystemExit as end: print(end.code, *{'pandas', 'diffrax', 'h5py', 'matplotlib', "
+        "'scipy.sparse', 'scipy.spatial'} & sys.modules.keys())"
+    )
+    assert printed(program) == ["2"]
+
+
+def test_the_command_seldom_searches_for_garbage():
+    """With Python's own threshold, 300 times, and twice among all objects."""
+    program = (
+        "import sys, gc; sys.argv = ['jaxcrumple']\n"
+        "import jaxcrumple.run.config; print(*(each['collections'] for each in gc.get_stats()))"
+    )
+    youngest, _, full = map(int, printed(program))
+    assert youngest < 100
+    assert full == 0
+
+
 def test_options_set_before_the_import_of_jax():
     program = (
         "from jaxcrumple._jax.settings import configure_jax\n"

@@ -6,10 +6,8 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from jaxcrumple.mesh.files.polygons import triangulated
 from jaxcrumple.mesh.files.read import read_surface
@@ -93,12 +91,12 @@ def merged(
     where, first, inverse = np.unique(points[used], axis=0, return_index=True, return_inverse=True)
     representative = used[first]
     if distance > 0:
-        tree = cKDTree(where)
+        tree = scipy.spatial.cKDTree(where)
         if tree.count_neighbors(tree, distance) > _MOST_NEIGHBOURS * len(where):
             raise MeshError(f"merge = {distance:g} m would merge most of the sheet; give less than its edges")
         pairs = tree.query_pairs(distance, output_type="ndarray")
-        graph = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(where),) * 2)
-        count, label = connected_components(graph, directed=False)
+        graph = scipy.sparse.coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(where),) * 2)
+        count, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
         lowest = np.full(count, len(points))
         np.minimum.at(lowest, label, representative)
         representative = lowest[label]
