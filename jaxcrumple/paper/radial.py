@@ -123,7 +123,7 @@ def _draw_rearrangement(runs: Runs, folder: Path) -> list[Path]:
 
 SNAPSHOTS = Figure(
     "a sheet in a sphere that shrinks, and its maps of mean curvature",
-    _one((1000, 12000), (2.6, 4.5), FAST),
+    _one((1000, 12000), (2.6, 5.0), FAST),
     _panels("5"),
 )
 STEPS = Figure(
