@@ -6,8 +6,8 @@ import os
 import signal
 import sys
 
-# New objects between two searches for cyclic garbage; Python's default is 700 or 2000. Imports and tracing
-# make millions of objects that stay, and searching all of them again and again takes a tenth of a start.
+# New objects between two searches for cyclic garbage; Python's default is 700 or 2000. Almost all that
+# imports and tracing make stays, and searching it again and again takes a tenth of a start.
 NEW_OBJECTS = 10_000
 
 

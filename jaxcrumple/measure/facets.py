@@ -16,12 +16,11 @@ import numpy as np
 import skimage as ski  # skimage imports its submodules lazily
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import distance_transform_edt, label
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from jaxcrumple._jax.arrays import HingeValuesLike
 from jaxcrumple.measure.creases import DAMAGE, damaged, plastic_curvature
 from jaxcrumple.measure.raster import Raster, require_flat
+from jaxcrumple.mesh.graph import components
 from jaxcrumple.mesh.mesh import Mesh
 
 #: Least plastic fold angle of a crease in rad, summed over the damage within its width.
@@ -157,8 +156,7 @@ def _connected(
 def _strays(mesh: Mesh, regions: Int[np.ndarray, " faces"]) -> Bool[np.ndarray, " faces"]:
     """Return a mask (f,) of the triangles outside the largest connected piece of their region."""
     sides = mesh.hinge_faces[np.equal(*regions[mesh.hinge_faces].T)]
-    links = coo_array((np.ones(len(sides)), sides.T), shape=(len(regions), len(regions)))
-    _, piece = connected_components(links, directed=False)
+    _, piece = components(len(regions), *sides.T)
     order = np.argsort(np.bincount(piece)[piece], kind="stable")
     largest = np.zeros(regions.max() + 1, dtype=piece.dtype)
     largest[regions[order]] = piece[order]  # the last (largest) piece wins

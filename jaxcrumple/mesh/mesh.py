@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy
 from jaxtyping import ArrayLike, Float, Int, Real, Shaped
 
 from jaxcrumple.mesh.files import MeshError
 from jaxcrumple.mesh.files.sheet import read_sheet
 from jaxcrumple.mesh.files.write import FILE_FORMATS, write_triangles
+from jaxcrumple.mesh.graph import components
 from jaxcrumple.mesh.hilbert import hilbert_order
 
 __all__ = ["FILE_FORMATS", "Mesh", "MeshError"]
@@ -339,13 +339,6 @@ def half_edge_pairs(
     return order[first], order[first + 1]
 
 
-def _components(
-    size: int, a: Int[np.ndarray, " links"], b: Int[np.ndarray, " links"]
-) -> tuple[int, Int[np.ndarray, " members"]]:
-    graph = scipy.sparse.coo_array((np.ones(len(a)), (a, b)), shape=(size, size))
-    return scipy.sparse.csgraph.connected_components(graph, directed=False)
-
-
 def _checked_topology(faces: Int[np.ndarray, "faces 3"]) -> Int[np.ndarray, "faces 3"]:
     """Return `faces` if they form one connected manifold."""
     _, same, count = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True)
@@ -361,7 +354,7 @@ def _checked_topology(faces: Int[np.ndarray, "faces 3"]) -> Int[np.ndarray, "fac
         where = f"edge {_ids(edges[bad[0]])} belongs to {count[bad[0]]} faces {owners}{_more(bad)}"
         raise MeshError(f"{where}; at most two faces may meet at an edge, so split the surface there")
     used, rows = np.unique(edges, return_inverse=True)
-    parts, label = _components(len(used), *rows.reshape(-1, 2).T)
+    parts, label = components(len(used), *rows.reshape(-1, 2).T)
     if parts > 1:
         sizes = np.sort(np.bincount(label))[::-1]
         listed = ", ".join(map(str, sizes[:8])) + (", ..." if parts > 8 else "")
@@ -378,7 +371,7 @@ def _check_fans(faces: Int[np.ndarray, "faces 3"], number: Int[np.ndarray, " hal
     node, following = faces.ravel(), np.arange(faces.size).reshape(-1, 3)[:, [1, 2, 0]].ravel()
     same = node[a] == node[b]
     tails = np.where(same, b, following[b]), np.where(same, following[b], b)
-    fans, label = _components(faces.size, np.concatenate([a, following[a]]), np.concatenate(tails))
+    fans, label = components(faces.size, np.concatenate([a, following[a]]), np.concatenate(tails))
     node_of_fan = np.empty(fans, dtype=np.int64)
     node_of_fan[label] = node
     count = np.bincount(node_of_fan)
@@ -398,7 +391,7 @@ def _oriented(faces: Int[np.ndarray, "faces 3"]) -> Int[np.ndarray, "faces 3"]:
     clash = faces.ravel()[a] == faces.ravel()[b]
     i, j, f = a // 3, b // 3, len(faces)
     pairs = np.concatenate([i, i + f]), np.concatenate([j + f * clash, j + f * ~clash])
-    parts, label = _components(2 * f, *pairs)
+    parts, label = components(2 * f, *pairs)
     if parts == 1:
         raise MeshError("the surface has only one side, like a Moebius band, and no orientation; cut it open")
     turned = label[:f] != np.argmax(np.bincount(label[:f], minlength=2))

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from jaxcrumple.mesh.files.polygons import triangulated
 from jaxcrumple.mesh.files.read import read_surface
 from jaxcrumple.mesh.files.surface import MeshError, MeshWarning
+from jaxcrumple.mesh.graph import components
 from jaxcrumple.options.suggest import nearest
 from jaxcrumple.options.units import LENGTH
 
@@ -95,8 +96,7 @@ def merged(
         if tree.count_neighbors(tree, distance) > _MOST_NEIGHBOURS * len(where):
             raise MeshError(f"merge = {distance:g} m would merge most of the sheet; give less than its edges")
         pairs = tree.query_pairs(distance, output_type="ndarray")
-        graph = scipy.sparse.coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(where),) * 2)
-        count, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
+        count, label = components(len(where), *pairs.T)
         lowest = np.full(count, len(points))
         np.minimum.at(lowest, label, representative)
         representative = lowest[label]
