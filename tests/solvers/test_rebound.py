@@ -12,6 +12,7 @@ from scipy.optimize import brentq
 
 import jaxcrumple as jc
 from jaxcrumple.model.loads import ElementEnergy
+from jaxcrumple.solvers.explicit.verlet import Verlet
 from jaxcrumple.solvers.log import ENERGIES
 
 SIGMA, SPEED, START = 0.5e-3, 1.0, 1.2 * 0.5e-3
@@ -103,6 +104,22 @@ def test_layers_rebound_with_their_energy_and_in_time(scheme, rtol, loss):
     assert abs(parting / SPEED - 1.0) < loss
     assert abs(gap - START) < loss * START
     assert np.abs(v[:, :2]).max() < 1e-8 * SPEED
+
+
+@pytest.mark.parametrize("speed", [150.0, 300.0, 1000.0])
+def test_layers_that_meet_within_a_step_gain_little_energy(speed):
+    """Wherever the last free step ends, layers whose steps reach deep into the range keep their energy to a
+    quarter. Steps at the stability limit of free layers return up to four times of it."""
+    scene, x, upper = layers()
+    solver = jc.integrator(1e-2, scheme="explicit")
+    solver = eqx.tree_at(lambda s: s.explicit, solver, Verlet(jnp.asarray(1e-2)))
+    v = np.zeros_like(x)
+    v[:, 2] = np.where(upper, -0.5, 0.5) * speed
+    for start in START * np.linspace(1.0, 1.5, 8):
+        apart = x + np.where(upper, start, 0.0)[:, None] * np.array([0.0, 0.0, 1.0])
+        end = jc.simulate(scene, jc.initial_state(scene, apart, v), 2.5 * start / speed, solver=solver).state
+        assert np.mean(np.asarray(end.v)[upper, 2]) > 0
+        assert float(jnp.sum(end.v**2)) / np.sum(v**2) < 1.25
 
 
 def loss_of_bounces(scheme: str, rtol: float) -> np.ndarray:

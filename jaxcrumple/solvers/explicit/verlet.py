@@ -20,7 +20,7 @@ class Verlet(AbstractExplicit):
 
     Drag acts implicitly, at both ends of the step. Dashpots and plastic flow use predicted velocities and
     rest curvatures. The error estimate covers p and the positions, $\\frac{h^2}{6}(a_1 - a_0)$; errors of
-    the velocities follow those of the positions.
+    the velocities follow those of the positions, and stay small where forces are resolved.
     """
 
     order: ClassVar[int] = 2
