@@ -107,15 +107,15 @@ class AbstractExplicit(eqx.Module):
     def _jolt(self, scene: Scene, state: State, tried: Tried, h: Scalar) -> Scalar:
         """Return the change of forces over a step, in units of the largest that the step resolves.
 
-        For one mode it is $(h\\omega)^2|v|/h$. A mode that carries the largest speed must not move by more than
-        1 rad in a step; faster ones, up to the stability limit, carry less. This ends steps that fly into the
-        steep part of a contact potential, to leave it with energy from nowhere: the stability limit was
-        measured before, and does not tell.
+        $h|a_1 - a_0|/|v|$ is $(h\\omega)^2$ for one mode. A mode that carries the largest speed must not move by
+        more than 1 rad in a step; faster ones, up to the stability limit, carry less. This ends steps that
+        fly into the steep part of a contact potential, to leave it with energy from nowhere: the stability
+        limit was measured before, and does not tell.
         """
         a0, a1 = state.slopes.acceleration, tried.slopes.acceleration
         change, before, speed = (jnp.sqrt(jnp.max(jnp.sum(u * u, axis=1))) for u in (a1 - a0, a0, state.v))
         speed = jnp.maximum(jnp.maximum(speed, 0.5 * h * before), self.rtol * scene.velocity_scale)
-        # The square of h omega, as a power of h that the control of the step size expects.
+        # (h omega)^2 to the power with which the control of the step size expects errors to fall.
         return (h * change / speed) ** (0.5 * self.error_order)
 
     def _resized(self, units: Scalar, t: Scalar, h: Scalar, cap: Scalar) -> tuple[Flag, Scalar]:
