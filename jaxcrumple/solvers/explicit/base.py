@@ -107,8 +107,8 @@ class AbstractExplicit(eqx.Module):
     def _jolt(self, scene: Scene, state: State, tried: Tried, h: Scalar) -> Scalar:
         """Return the change of forces over a step, in units of the largest that the step resolves.
 
-        $h|a_1 - a_0|/|v|$ is $(h\\omega)^2$ for one mode. A mode that carries the largest speed must not move by
-        more than 1 rad in a step; faster ones, up to the stability limit, carry less. This ends steps that
+        $h|a_1 - a_0|/|v|$ is $(h\\omega)^2$ for one mode. A mode that carries the largest speed must not move
+        by more than 1 rad in a step; faster ones, up to the stability limit, carry less. This ends steps that
         fly into the steep part of a contact potential, to leave it with energy from nowhere: the stability
         limit was measured before, and does not tell.
         """
