@@ -108,8 +108,8 @@ def test_layers_rebound_with_their_energy_and_in_time(scheme, rtol, loss):
 
 @pytest.mark.parametrize("speed", [150.0, 300.0, 1000.0])
 def test_layers_that_meet_within_a_step_gain_little_energy(speed):
-    """Wherever the last free step ends, layers whose steps reach deep into the range keep their energy to a
-    quarter. Steps at the stability limit of free layers return up to four times of it."""
+    """Wherever the last free step ends, layers whose steps reach deep into the range gain at most a quarter
+    of their energy. Steps at the stability limit of free layers return up to four times of it."""
     scene, x, upper = layers()
     solver = jc.integrator(1e-2, scheme="explicit")
     solver = eqx.tree_at(lambda s: s.explicit, solver, Verlet(jnp.asarray(1e-2)))
