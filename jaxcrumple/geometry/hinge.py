@@ -83,6 +83,11 @@ def length(e: Vec) -> Float[Array, "..."]:
     return jnp.sqrt(dot(e, e))
 
 
+def longest(vectors: NodeVectors) -> Scalar:
+    """Return the length of the longest of the `vectors` (n, 3)."""
+    return jnp.sqrt(jnp.max(jnp.sum(vectors * vectors, axis=1)))
+
+
 class Hinge(NamedTuple):
     """Intermediate quantities of a hinge's angle and its derivatives (all arrays (m,) or Vec)."""
 

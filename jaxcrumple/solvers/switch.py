@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxcrumple._jax.arrays import Count, Flag, NodeVectors, Scalar
 from jaxcrumple._jax.tree import as_float, is_known
+from jaxcrumple.geometry.hinge import longest
 from jaxcrumple.scene import Scene
 from jaxcrumple.state import IMPLICIT, QUASISTATIC, Monitor
 
@@ -79,9 +80,8 @@ def observe(
     scene: Scene, monitor: Monitor, stage: Count, acceleration: NodeVectors, h: Scalar, switch: Switch
 ) -> Monitor:
     """Update the monitor after an accepted step of size `h` s with `acceleration` (n, 3) in m/s2."""
-    largest = jnp.sqrt(jnp.max(jnp.sum(acceleration * acceleration, axis=1)))
     counted = (stage != QUASISTATIC) | (monitor.steps >= switch.ignore)
-    ratio = jnp.where(counted, largest / scene.reference_acceleration, 0.0)
+    ratio = jnp.where(counted, longest(acceleration) / scene.reference_acceleration, 0.0)
     ratios = jnp.concatenate([ratio[None], monitor.ratios[:-1]])
     seen = Monitor(ratios, monitor.steps + 1, monitor.since + h, jnp.asarray(False), monitor.futile)
     restless = (stage == IMPLICIT) & (switch.measured(scene, seen) >= switch.down)

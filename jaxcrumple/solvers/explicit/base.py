@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeVectors, Scalar
 from jaxcrumple._jax.tree import as_float
+from jaxcrumple.geometry.hinge import longest
 from jaxcrumple.scene import Scene
 from jaxcrumple.solvers.contact.crossings import passes, unlisted_turn
 from jaxcrumple.solvers.explicit.stability import Fastest, beside_walls
@@ -113,7 +114,7 @@ class AbstractExplicit(eqx.Module):
         limit was measured before, and does not tell.
         """
         a0, a1 = state.slopes.acceleration, tried.slopes.acceleration
-        change, before, speed = (jnp.sqrt(jnp.max(jnp.sum(u * u, axis=1))) for u in (a1 - a0, a0, state.v))
+        change, before, speed = map(longest, (a1 - a0, a0, state.v))
         speed = jnp.maximum(jnp.maximum(speed, 0.5 * h * before), self.rtol * scene.velocity_scale)
         # (h omega)^2 to the power with which the control of the step size expects errors to fall.
         return (h * change / speed) ** (0.5 * self.error_order)
