@@ -126,6 +126,11 @@ class ContactBlocks(eqx.Module):
         arguments = (self, matrix, self._blocks(appended))
         return accumulate(add, values, arguments, self.count, self.triangles.shape[0], CHUNK)
 
+    def entries(self, own: Int[Array, " some"]) -> Int[Array, " some"]:
+        """Return the places in that matrix of the entries `own` of the sheet's pattern."""
+        assert self.matrix is not None
+        return self.matrix.place[own]
+
     def placed(self) -> Flag:
         """Return whether all pairs have entries in that matrix; True without such a matrix."""
         if self.matrix is None:

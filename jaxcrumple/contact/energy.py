@@ -77,7 +77,7 @@ def add_tangent(
 
     **Returns:** `own` with the contact stiffness within triangles added; blocks (T, 9, 9) between the nodes
     of the two triangles of each listed pair; and a diagonal (n,) that compensates the negative stiffness in
-    `own` where the solver uses `own` without the blocks. All are NaN where the lists are not valid.
+    `own` where the solver uses `own` without the blocks. `own` is NaN where the lists are not valid.
     """
     one, two = np.array(upper_pairs(3)).T
     triangles = lists.pairs.triangles
@@ -95,8 +95,9 @@ def add_tangent(
         soft = jnp.abs(terms.weights) * jnp.maximum(-tension, 0.0)[:, None]
         return own, cross.at[terms.owner].add(both * matrix), lift.at[terms.nodes].add(soft)
 
-    cross = jnp.zeros((triangles.shape[0], 9, 9), x.dtype)
-    return _sum(contact, lists, x, interacting, add, (own, cross, jnp.zeros(x.shape[0], x.dtype)))
+    nothing = own, jnp.zeros((triangles.shape[0], 9, 9), x.dtype), jnp.zeros(x.shape[0], x.dtype)
+    own, *others = _added(contact, lists.pairs, x, interacting(contact, lists, x), add, nothing)
+    return jnp.where(covers(lists, x), own, jnp.nan), *others
 
 
 def nearer_product(

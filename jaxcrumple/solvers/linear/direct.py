@@ -1,13 +1,13 @@
 """Sparse direct solver: $L D L^T$ factorisation by oneMKL PARDISO inside jit, with the matrix inertia."""
 
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple, NoReturn
+from typing import Any, ClassVar, NoReturn
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Shaped
 
-from jaxcrumple._jax.arrays import Scalar
+from jaxcrumple._jax.arrays import Flag, Scalar
 from jaxcrumple._jax.door import own_modes
 from jaxcrumple.assembly.sparsity import Pattern
 from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor, LinearSolution, identity_values
@@ -15,13 +15,6 @@ from jaxcrumple.solvers.linear.cg import conjugate_gradients
 
 # Rounds of iterative refinement of a solution that conjugate gradients do not check.
 REFINEMENTS = 2
-
-
-class _Workspace(NamedTuple):
-    """Hold the library's handle of a factor, and the values of its matrix."""
-
-    token: Any
-    matrix: Float[Array, " stored"]
 
 
 class Direct(AbstractLinearSolver):
@@ -33,6 +26,9 @@ class Direct(AbstractLinearSolver):
 
     `vmap` may batch right-hand sides, which are solved together. It cannot batch matrices, because a factor
     is stored outside the JAX arrays; use `TwoLevel` for these.
+
+    A `Factor` holds the library's handle and the values of the one matrix of sheet and contact. These are far
+    fewer than the `values` of a pattern, most of which are unused blocks of contact.
 
     **Arguments:** `max_iterations`: conjugate gradient iterations with a factor of other values.
     """
@@ -49,23 +45,19 @@ class Direct(AbstractLinearSolver):
         """Analyse the pattern (nested dissection)."""
         from pardiso_mkl_jax import primitive
 
-        values = _unbatched(identity_values(pattern))
-        indptr, indices, matrix = _matrix(pattern, values)
-        token, _ = primitive.analyze(indptr, indices, matrix, **_mode())
-        return Factor(values, _Workspace(token, matrix), jnp.asarray(0))
+        matrix = _unbatched(_matrix(pattern, identity_values(pattern)))
+        token, _ = primitive.analyze(*_structure(pattern), matrix, **_mode())
+        return Factor(matrix, token, jnp.asarray(0))
 
     def factor(self, pattern: Pattern, values: Float[Array, " entries"], previous: Factor) -> Factor:
         """Factor new values. If one is not finite, factor the identity and report an indefinite matrix."""
         from pardiso_mkl_jax import primitive
 
-        values = _unbatched(values)
-        finite = jnp.all(jnp.isfinite(values))
-        safe = jnp.where(finite, values, identity_values(pattern))
-        indptr, indices, matrix = _matrix(pattern, safe)
-        token, report = primitive.factor(previous.workspace.token, indptr, indices, matrix, **_mode())
+        matrix, finite = _safe(pattern, _unbatched(values))
+        token, report = primitive.factor(previous.workspace, *_structure(pattern), matrix, **_mode())
         # report[22] is PARDISO's count of negative eigenvalues (iparm(23)).
         negative = jnp.where(finite, report[22], 1).astype(int)
-        return Factor(safe, _Workspace(token, matrix), negative)
+        return Factor(matrix, token, negative)
 
     def solve(
         self,
@@ -93,7 +85,7 @@ class Direct(AbstractLinearSolver):
         """Solve with the factor's own values, definite or not, and refine x (3n,) to rounding."""
         x = jnp.zeros_like(rhs)
         for _ in range(REFINEMENTS + 1):
-            x = x + _substitute(pattern, factor, rhs - pattern.product(factor.values, x))
+            x = x + _substitute(pattern, factor, rhs - _product(pattern, factor.values, x))
         return x
 
     def solve_once(
@@ -107,12 +99,12 @@ class Direct(AbstractLinearSolver):
         """Factor and solve in one library call with the analysis of `start`; refine x (3n,) to rounding."""
         from pardiso_mkl_jax import primitive
 
-        values = _unbatched(values)
-        safe = jnp.where(jnp.all(jnp.isfinite(values)), values, identity_values(pattern))
+        matrix, _ = _safe(pattern, _unbatched(values))
         return _batched(
             primitive.factor_and_solve_stateful,
-            start.workspace.token,
-            *_matrix(pattern, safe),
+            start.workspace,
+            *_structure(pattern),
+            matrix,
             rhs,
             refinements=REFINEMENTS,
         )
@@ -121,7 +113,7 @@ class Direct(AbstractLinearSolver):
         """Free the factor, because the library keeps the factors of the last calls."""
         from pardiso_mkl_jax import primitive
 
-        primitive.release(factor.workspace.token, after.astype(float))
+        primitive.release(factor.workspace, after.astype(float))
 
 
 def _substitute(
@@ -130,8 +122,7 @@ def _substitute(
     """Solve by forward and back substitution."""
     from pardiso_mkl_jax import primitive
 
-    token, matrix = factor.workspace
-    return _batched(primitive.solve_stateful, token, *_structure(pattern), matrix, rhs)
+    return _batched(primitive.solve_stateful, factor.workspace, *_structure(pattern), factor.values, rhs)
 
 
 def _batched(
@@ -195,14 +186,32 @@ def _structure(pattern: Pattern) -> tuple[Int[Array, " pointers"], Int[Array, " 
     return merged.indptr, merged.indices
 
 
-def _matrix(
-    pattern: Pattern, values: Float[Array, " entries"]
-) -> tuple[Int[Array, " pointers"], Int[Array, " stored"], Float[Array, " stored"]]:
-    """Return row pointers, column indices and values of the upper triangle, contact included."""
-    indptr, indices = _structure(pattern)
+def _matrix(pattern: Pattern, values: Float[Array, " entries"]) -> Float[Array, " stored"]:
+    """Return the values of the upper triangle, contact included."""
     if pattern.contact is None:
-        return indptr, indices, values
-    return indptr, indices, pattern.contact.merge(values[: pattern.nnz], values[pattern.nnz :])
+        return values
+    return pattern.contact.merge(values[: pattern.nnz], values[pattern.nnz :])
+
+
+def _safe(pattern: Pattern, values: Float[Array, " entries"]) -> tuple[Float[Array, " stored"], Flag]:
+    """Return the values of the upper triangle, contact included, and whether all are finite; those of the
+    identity if not."""
+    matrix = _matrix(pattern, values)
+    finite = jnp.all(jnp.isfinite(matrix))
+    diagonal = pattern.diagonal if pattern.contact is None else pattern.contact.entries(pattern.diagonal)
+    return jnp.where(finite, matrix, 0.0).at[diagonal].add(jnp.where(finite, 0.0, 1.0)), finite
+
+
+def _product(
+    pattern: Pattern, matrix: Float[Array, " stored"], x: Float[Array, " unknowns"]
+) -> Float[Array, " unknowns"]:
+    """Multiply the symmetric matrix with the values `matrix` of its upper triangle by a vector (3n,)."""
+    indptr, columns = _structure(pattern)
+    # Spare entries, behind those of the last row, belong to no row.
+    rows = jnp.searchsorted(indptr, jnp.arange(len(columns)), side="right") - 1
+    upper = jnp.zeros_like(x).at[rows].add(matrix * x[columns], mode="drop")
+    strict = jnp.where((rows == columns) | (rows == len(x)), 0.0, matrix)
+    return upper.at[columns].add(strict * x[jnp.minimum(rows, len(x) - 1)])
 
 
 @jax.custom_batching.custom_vmap
