@@ -17,8 +17,8 @@ from jaxcrumple.assembly.sparsity import Pattern
 
 
 class Factor(NamedTuple):
-    """Hold a factored matrix: its `values` (size,), the solver's `workspace`, and the number of `negative`
-    eigenvalues."""
+    """Hold a factored matrix: its `values` as the solver keeps them, the solver's `workspace`, and the number
+    of `negative` eigenvalues."""
 
     values: Float[Array, " entries"]
     workspace: Any
