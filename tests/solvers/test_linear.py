@@ -8,10 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.sparse as sparse
+from folded import folded, strip
 from lattice import elastic
 from linear_solvers import ITERATIVE, SOLVERS, needs_direct
 from scipy.sparse.linalg import spsolve
 
+from jaxcrumple import SelfContact, with_contacts
 from jaxcrumple.assembly.sparsity import build_pattern
 from jaxcrumple.material.material import Material
 from jaxcrumple.mesh.generate import rectangle
@@ -244,6 +246,27 @@ def test_the_direct_solver_solves_indefinite_systems():
     assert np.linalg.norm(x - exact) < 1e-7 * np.linalg.norm(exact)
     # d(x.x)/2 along the values themselves is -x.x: twice the matrix is half the solution.
     assert float(vjp(x)[0] @ values) == pytest.approx(-float(exact @ exact), rel=1e-6)
+
+
+@needs_direct
+def test_the_direct_solver_refines_by_sheet_and_contact_together():
+    """Its one matrix must have every block: refinement by another would leave what that lacks."""
+    mesh = strip(0.8e-3, columns=(5, 5), rows=7)
+    x = jnp.asarray(folded(mesh, 0.8e-3, (5, 5)))
+    contact = SelfContact(range=1e-3, level=4)
+    scene = with_contacts(sheet(mesh, Material(thickness=3e-4, yield_curvature=None), contact=contact), x)
+    pattern = scene.sparsity
+    values = eqx.filter_jit(elastic_tangent)(scene, x, None, jnp.asarray(0.0), 1e7)
+    blocks = values[pattern.nnz : pattern.nnz + pattern.contact.size]
+    assert jnp.max(jnp.abs(blocks)) > 1e-3 * jnp.max(jnp.abs(values))
+    rhs = jnp.asarray(np.random.default_rng(0).normal(size=3 * mesh.n_nodes))
+
+    @eqx.filter_jit
+    def left(values, rhs):
+        factor = Direct().factor(pattern, values, Direct().start(pattern))
+        return rhs - pattern.product(values, Direct().solve_factored(pattern, factor, rhs, 0.0))
+
+    assert jnp.linalg.norm(left(values, rhs)) < 1e-10 * jnp.linalg.norm(rhs)
 
 
 @pytest.mark.parametrize("solver", ITERATIVE)
