@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Timer, main_thread
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -31,6 +32,8 @@ SIGNALED = 128
 # Signals that stop the command like Ctrl-C. Programs such as `timeout` send a signal twice, so a second one
 # within GRACE seconds of the first does not kill the process.
 SIGNALS, GRACE = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP), 2.0
+# Time in s after which a signal that a callback has dropped is sent again.
+AGAIN = 0.01
 LESS = "take fewer --nodes, fewer cases side by side, or a machine with more"
 
 
@@ -265,10 +268,15 @@ def _complain(text: str, style: str | None = "red", lines: bool = False) -> None
 
 
 class _Stop:
-    """Raise `Stopped` at the first signal; a signal more than GRACE seconds later kills the process."""
+    """Raise `Stopped` at the first signal; a signal more than GRACE seconds later kills the process.
+
+    Python drops what is raised within a callback, such as those of its garbage collector. `dropped` is the
+    hook that it then calls, and sends the signal again soon after.
+    """
 
     def __init__(self) -> None:
         self.first: float | None = None
+        self.other_hook = sys.unraisablehook
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         now = time.monotonic()
@@ -279,6 +287,13 @@ class _Stop:
             signal.signal(number, signal.SIG_DFL)
             os.kill(os.getpid(), number)
 
+    def dropped(self, what: Any) -> None:
+        if not isinstance(what.exc_value, Stopped):
+            self.other_hook(what)
+            return
+        self.first = None
+        Timer(AGAIN, signal.pthread_kill, (main_thread().ident, what.exc_value.number)).start()
+
 
 @contextmanager
 def _stoppable() -> Iterator[None]:
@@ -286,9 +301,11 @@ def _stoppable() -> Iterator[None]:
     stop = _Stop()
     wanted = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
     before = {number: signal.signal(number, stop) for number in wanted}
+    sys.unraisablehook = stop.dropped
     try:
         yield
     finally:
+        sys.unraisablehook = stop.other_hook
         for number, handler in before.items():
             signal.signal(number, handler)
 

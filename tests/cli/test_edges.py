@@ -1,5 +1,6 @@
 """Edges of the program: one line and one exit code for whatever ends it."""
 
+import gc
 import importlib.util
 import io
 import os
@@ -153,6 +154,21 @@ def test_a_signal_sent_twice_does_not_break_the_end(ended):
             signal.raise_signal(signal.SIGTERM)
         finally:
             signal.raise_signal(signal.SIGTERM)
+
+    assert ended(program) == (143, "stopped by SIGTERM\n")
+
+
+def test_a_signal_in_a_callback_of_the_garbage_collector_is_not_lost(ended):
+    """Python drops what is raised there."""
+
+    def once(phase, _):
+        gc.callbacks.remove(once)
+        signal.raise_signal(signal.SIGTERM)
+
+    def program():
+        gc.callbacks.append(once)
+        gc.collect()
+        time.sleep(20.0)
 
     assert ended(program) == (143, "stopped by SIGTERM\n")
 
