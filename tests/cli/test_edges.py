@@ -357,7 +357,6 @@ def test_a_program_that_uses_the_library_is_left_alone(monkeypatch):
         ('rmdir ../gone; exec "$@" scenes', 2, "error: the working directory"),
         ('PYTHONIOENCODING=ascii exec "$@" --help', 0, ""),
         ('JAX_PLATFORMS=cuda exec "$@" check arch', 2, "unset JAX_PLATFORMS"),
-        ('( sleep 1; kill -INT $$ ) & exec "$@" scenes', -signal.SIGINT, ""),
     ],
 )
 def test_the_command_itself(tmp_path, shell, code, words):
@@ -373,6 +372,17 @@ def test_the_command_itself(tmp_path, shell, code, words):
     assert result.returncode == code, result.stderr
     assert words in result.stderr
     assert len(result.stderr.splitlines()) == (1 if words else 0), result.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seconds", [0.5, 1.0, 1.5])
+def test_ctrl_c_in_a_start_says_one_line_at_most(seconds):
+    """None while modules are imported, as any program."""
+    shell = f'( sleep {seconds}; kill -INT $$ ) & exec "$@" check arch'
+    program = ["sh", "-c", shell, "sh", sys.executable, "-m", "jaxcrumple"]
+    result = subprocess.run(program, capture_output=True, text=True, timeout=300)
+    told = (console.SIGNALED + signal.SIGINT, "stopped\n")
+    assert (result.returncode, result.stderr) in [(-signal.SIGINT, ""), told]
 
 
 # --- Files and folders ---------------------------------------------------------------------------
