@@ -120,11 +120,8 @@ class Pattern(eqx.Module):
         self, values: Float[Array, " values"], x: Float[Array, " components"]
     ) -> Float[Array, " components"]:
         """Multiply the symmetric matrix by a vector (3n,)."""
-        own = values[: self.nnz]
-        upper = jnp.zeros_like(x).at[self.rows].add(own * x[self.indices], indices_are_sorted=True)
-        strict = jnp.where(self.rows == self.indices, 0.0, own)
-        product = upper.at[self.indices].add(strict * x[self.rows])
-        return product + self.contact_product(values, x)
+        own = upper_product(self.rows, self.indices, values[: self.nnz], x)
+        return own + self.contact_product(values, x)
 
     def separate(self, values: Float[Array, " values"]) -> Float[Array, " entries"]:
         """Return the sheet's entries (nnz,) without the negative stiffness of contact, for preconditioners.
@@ -152,6 +149,18 @@ class Pattern(eqx.Module):
     ) -> Float[Array, " components"] | float:
         """Multiply the blocks between triangles in contact by a vector (3n,); 0 without contact."""
         return 0.0 if self.contact is None else self.contact.product(values[self.nnz :], x)
+
+
+def upper_product(
+    rows: Int[Array, " entries"],
+    columns: Int[Array, " entries"],
+    values: Float[Array, " entries"],
+    x: Float[Array, " components"],
+) -> Float[Array, " components"]:
+    """Multiply a symmetric matrix by a vector (3n,), given the entries of its upper triangle, row by row."""
+    upper = jnp.zeros_like(x).at[rows].add(values * x[columns], indices_are_sorted=True)
+    strict = jnp.where(rows == columns, 0.0, values)
+    return upper.at[columns].add(strict * x[rows])
 
 
 def build_pattern(

@@ -96,6 +96,7 @@ def add_tangent(
         return own, cross.at[terms.owner].add(both * matrix), lift.at[terms.nodes].add(soft)
 
     nothing = own, jnp.zeros((triangles.shape[0], 9, 9), x.dtype), jnp.zeros(x.shape[0], x.dtype)
+    # Most blocks are unused: to mark them too would cost another pass over all of them.
     own, *others = _added(contact, lists.pairs, x, interacting(contact, lists, x), add, nothing)
     return jnp.where(covers(lists, x), own, jnp.nan), *others
 

@@ -20,6 +20,7 @@ from jaxcrumple.mesh.generate import rectangle
 from jaxcrumple.model.elements import upper_pairs
 from jaxcrumple.model.walls import Ramp, Sphere
 from jaxcrumple.scene import sheet
+from jaxcrumple.solvers.contact.schedule import without_matrix
 from jaxcrumple.solvers.linear import registry
 from jaxcrumple.solvers.linear.block_jacobi import BlockCG
 from jaxcrumple.solvers.linear.direct import Direct
@@ -256,6 +257,8 @@ def test_the_direct_solver_refines_by_sheet_and_contact_together():
     contact = SelfContact(range=1e-3, level=4)
     scene = with_contacts(sheet(mesh, Material(thickness=3e-4, yield_curvature=None), contact=contact), x)
     pattern = scene.sparsity
+    with pytest.raises(ValueError, match="the direct solver needs the contact lists"):
+        Direct().start(without_matrix(scene).sparsity)
     values = eqx.filter_jit(elastic_tangent)(scene, x, None, jnp.asarray(0.0), 1e7)
     blocks = values[pattern.nnz : pattern.nnz + pattern.contact.size]
     assert jnp.max(jnp.abs(blocks)) > 1e-3 * jnp.max(jnp.abs(values))

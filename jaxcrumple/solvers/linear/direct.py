@@ -9,8 +9,8 @@ from jaxtyping import Array, Float, Int, Shaped
 
 from jaxcrumple._jax.arrays import Flag, Scalar
 from jaxcrumple._jax.door import own_modes
-from jaxcrumple.assembly.sparsity import Pattern
-from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor, LinearSolution, identity_values
+from jaxcrumple.assembly.sparsity import Pattern, upper_product
+from jaxcrumple.solvers.linear.base import AbstractLinearSolver, Factor, LinearSolution
 from jaxcrumple.solvers.linear.cg import conjugate_gradients
 
 # Rounds of iterative refinement of a solution that conjugate gradients do not check.
@@ -45,8 +45,9 @@ class Direct(AbstractLinearSolver):
         """Analyse the pattern (nested dissection)."""
         from pardiso_mkl_jax import primitive
 
-        matrix = _unbatched(_matrix(pattern, identity_values(pattern)))
-        token, _ = primitive.analyze(*_structure(pattern), matrix, **_mode())
+        indptr, indices = _structure(pattern)
+        matrix = _unbatched(jnp.zeros(len(indices)).at[_diagonal(pattern)].set(1.0))
+        token, _ = primitive.analyze(indptr, indices, matrix, **_mode())
         return Factor(matrix, token, jnp.asarray(0))
 
     def factor(self, pattern: Pattern, values: Float[Array, " entries"], previous: Factor) -> Factor:
@@ -198,8 +199,12 @@ def _safe(pattern: Pattern, values: Float[Array, " entries"]) -> tuple[Float[Arr
     identity if not."""
     matrix = _matrix(pattern, values)
     finite = jnp.all(jnp.isfinite(matrix))
-    diagonal = pattern.diagonal if pattern.contact is None else pattern.contact.entries(pattern.diagonal)
-    return jnp.where(finite, matrix, 0.0).at[diagonal].add(jnp.where(finite, 0.0, 1.0)), finite
+    return jnp.where(finite, matrix, 0.0).at[_diagonal(pattern)].add(jnp.where(finite, 0.0, 1.0)), finite
+
+
+def _diagonal(pattern: Pattern) -> Int[Array, " unknowns"]:
+    """Return the places of the diagonal in the upper triangle, contact included."""
+    return pattern.diagonal if pattern.contact is None else pattern.contact.entries(pattern.diagonal)
 
 
 def _product(
@@ -207,11 +212,9 @@ def _product(
 ) -> Float[Array, " unknowns"]:
     """Multiply the symmetric matrix with the values `matrix` of its upper triangle by a vector (3n,)."""
     indptr, columns = _structure(pattern)
-    # Spare entries, behind those of the last row, belong to no row.
     rows = jnp.searchsorted(indptr, jnp.arange(len(columns)), side="right") - 1
-    upper = jnp.zeros_like(x).at[rows].add(matrix * x[columns], mode="drop")
-    strict = jnp.where((rows == columns) | (rows == len(x)), 0.0, matrix)
-    return upper.at[columns].add(strict * x[jnp.minimum(rows, len(x) - 1)])
+    # Spare entries, behind those of the last row, are zero.
+    return upper_product(jnp.minimum(rows, len(x) - 1), columns, matrix, x)
 
 
 @jax.custom_batching.custom_vmap
