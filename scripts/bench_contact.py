@@ -85,11 +85,11 @@ def components(scene: Scene, state: State) -> dict[str, float]:
 def list_costs(scene: Scene, state: State) -> dict[str, float]:
     """Seconds of a search for candidates, of a list of sites, and of giving pairs a place in the matrix."""
     contact, listing, lists = scene.contact, state.listing, scene.lists
-    own, theta = Reallocation(scene, merged=True), scene.bending.hinges(listing.candidates.x).theta
+    own, half = Reallocation(scene, merged=True), scene.bending.hinges(listing.candidates.x).half
     search, sites = eqx.filter_jit(find_candidates), eqx.filter_jit(find_pairs)
     room, capacity = lists.candidates.triangles.shape[0], lists.pairs.capacity
     calls = {
-        "search": lambda: search(contact, theta, listing.candidates, room),
+        "search": lambda: search(contact, half, listing.candidates, room),
         "sites": lambda: sites(contact, lists.candidates, listing.pairs, capacity),
         "places": lambda: own.placed(lists, listing.matrix).matrix,
     }

@@ -14,13 +14,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxcrumple._jax.arrays import Count, HingeValues, NodeVectors, Scalar
+from jaxcrumple._jax.arrays import Count, NodeVectors, Scalar
 from jaxcrumple._jax.padded import compacted, counted
 from jaxcrumple.contact.adjacency import LISTED_TURN, largest_turn
 from jaxcrumple.contact.lists import EXCLUSION, NONE, CandidatePairs, Reference, pair_key
 from jaxcrumple.contact.parameters import Contact
 from jaxcrumple.geometry.distance import TINY, boxes, boxes_meet
-from jaxcrumple.geometry.hinge import Vec, add, cross, dot, gather, sub
+from jaxcrumple.geometry.hinge import HalfAngle, Vec, add, cross, dot, gather, sub
 
 # Pairs of triangles per chunk: pairs in neighbouring cells; of these, pairs with overlapping boxes; of these,
 # pairs that share no node.
@@ -58,14 +58,12 @@ class _Grid(NamedTuple):
         return self.owner[run], partner
 
 
-def find_candidates(
-    contact: Contact, theta: HingeValues, reference: Reference, capacity: int
-) -> CandidatePairs:
+def find_candidates(contact: Contact, half: HalfAngle, reference: Reference, capacity: int) -> CandidatePairs:
     """Find the pairs of triangles that may come within the range during the motions `reference`.
 
-    `theta` (h,): hinge angles in rad at `reference.x`. Test the `overflow` of the result.
+    `half` (h,): halves of the hinge angles at `reference.x`. Test the `overflow` of the result.
     """
-    turning = contact.fans.turning(theta)
+    turning = contact.fans.turning(half.angle)
     folded = turning > LISTED_TURN
     apart, count = _apart(contact, reference, capacity)
     n_faces = contact.faces.shape[0]
@@ -81,7 +79,7 @@ def find_candidates(
     # There are more ways than pairs, so the number of ways decides only after an overflow.
     needed = jnp.maximum(count, ways_count)
     count = jnp.where(needed > capacity, needed, fitted)
-    return CandidatePairs(reference, triangles, count, folded, theta, largest_turn(turning, folded))
+    return CandidatePairs(reference, triangles, count, folded, half, largest_turn(turning, folded))
 
 
 def _apart(contact: Contact, reference: Reference, capacity: int) -> tuple[Int[Array, " pairs"], Count]:

@@ -3,10 +3,11 @@
 import jax
 import jax.numpy as jnp
 
-from jaxcrumple._jax.arrays import Flag, HingeValues, NodeVectors, Scalar
+from jaxcrumple._jax.arrays import Flag, NodeVectors, Scalar
 from jaxcrumple.contact.adjacency import DUE_TURN, largest_turn
 from jaxcrumple.contact.lists import CandidatePairs, ContactLists
 from jaxcrumple.contact.parameters import Contact
+from jaxcrumple.geometry.hinge import HalfAngle
 
 
 def covers(lists: ContactLists, x: NodeVectors) -> Flag:
@@ -15,14 +16,17 @@ def covers(lists: ContactLists, x: NodeVectors) -> Flag:
     return valid if lists.active is None else valid & lists.active.covers(x)
 
 
-def largest_unlisted_turn(contact: Contact, candidates: CandidatePairs, theta: HingeValues) -> Scalar:
+def largest_unlisted_turn(contact: Contact, candidates: CandidatePairs, half: HalfAngle) -> Scalar:
     """Return the largest turn in rad of the ways at nodes that the candidates do not list.
 
-    `theta` (h,): hinge angles in rad. If an upper bound is below `DUE_TURN`, the result is that bound.
+    `half` (h,): halves of the hinge angles. If an upper bound is below `DUE_TURN`, the result is that bound.
     """
-    bound = candidates.turn + contact.fans.longest * jnp.max(jnp.abs(theta - candidates.theta))
+    change = half.minus(candidates.half)
+    # More than 180 degrees count as 180: no bound is below DUE_TURN then.
+    sine = jnp.max(jnp.where(change.cosine < 0, 1.0, jnp.abs(change.sine)))
+    bound = candidates.turn + contact.fans.longest * 2.0 * jnp.arcsin(jnp.minimum(sine, 1.0))
     return jax.lax.cond(
         bound < DUE_TURN,
         lambda: bound,
-        lambda: largest_turn(contact.fans.turning(theta), candidates.folded),
+        lambda: largest_turn(contact.fans.turning(half.angle), candidates.folded),
     )

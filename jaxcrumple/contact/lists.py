@@ -17,8 +17,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
-from jaxcrumple._jax.arrays import Count, Flag, HingeValues, NodeValues, NodeVectors, Scalar
-from jaxcrumple.geometry.hinge import dot
+from jaxcrumple._jax.arrays import Count, Flag, NodeValues, NodeVectors, Scalar
+from jaxcrumple.geometry.hinge import HalfAngle, dot
 
 # Sites closer than this many ranges at rest are neighbours at rest: they never interact.
 EXCLUSION = 2.0
@@ -73,7 +73,7 @@ class CandidatePairs(VerletList):
     - `reference`: the motions that the list covers.
     - `triangles` (c, 2): sorted pairs, lower index first; the first `count` are valid.
     - `folded` (w,): which ways of `Fans` are listed.
-    - `theta` (h,): hinge angles in rad when the list was built.
+    - `half` (h,): halves of the hinge angles when the list was built.
     - `turn`: largest turn in rad at these angles of the ways that are not listed.
     """
 
@@ -81,7 +81,7 @@ class CandidatePairs(VerletList):
     triangles: Int[Array, "triangles 2"]
     count: Count
     folded: Bool[Array, " ways"]
-    theta: HingeValues
+    half: HalfAngle
     turn: Scalar
 
     @property
@@ -239,8 +239,13 @@ def nowhere(n: int) -> Reference:
 def no_candidates(n: int, hinges: int, ways: int, capacity: int = 1) -> CandidatePairs:
     """Return an empty list of candidates that covers no positions."""
     triangles, folded = jnp.zeros((capacity, 2), jnp.int32), jnp.zeros(ways, bool)
-    unknown = jnp.full(hinges, jnp.nan, float), jnp.asarray(jnp.nan, float)
-    return CandidatePairs(nowhere(n), triangles, jnp.zeros((), int), folded, *unknown)
+    return CandidatePairs(nowhere(n), triangles, jnp.zeros((), int), folded, *unknown_turns(hinges))
+
+
+def unknown_turns(hinges: int) -> tuple[HalfAngle, Scalar]:
+    """Return angles and the turn of candidates that no motion relies on: NaN."""
+    unknown = jnp.full(hinges, jnp.nan, float)
+    return HalfAngle(unknown, unknown), jnp.asarray(jnp.nan, float)
 
 
 def no_pairs(n: int, capacity: Capacity = SMALLEST) -> SitePairs:

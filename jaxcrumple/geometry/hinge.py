@@ -9,8 +9,8 @@ $e_2 = x_3 - x_0$, $n_1 = e_0 \\times e_1$, $n_2 = -e_0 \\times e_2$. The signed
 $\\theta = \\mathrm{atan2}((n_1 \\times n_2) \\cdot \\hat e_0,\\; n_1 \\cdot n_2)$ and the dimensionless
 curvature $c = 2 \\sin(\\theta/2)$: equal to eq. (33) to rounding, but smooth through flat, where
 (33) is 0/0. It follows from the normals by square roots, which a processor computes for several hinges at
-once, unlike sines: $c = s \\sqrt{2 / (r (r + n_1 \\cdot n_2))}$ with $s = (n_1 \\times n_2) \\cdot \\hat e_0$
-and $r = |n_1| |n_2|$.
+once, unlike sines: $c = s / \\sqrt{r (r + n_1 \\cdot n_2) / 2}$ with $s = (n_1 \\times n_2) \\cdot \\hat e_0$
+and $r = |n_1| |n_2|$, and beyond 90 degrees $c = \\pm\\sqrt{2 (r - n_1 \\cdot n_2) / r}$.
 """
 
 from typing import NamedTuple
@@ -21,8 +21,6 @@ from jaxtyping import Array, Float, Int, Real
 
 from jaxcrumple._jax.arrays import NodeVectors, Scalar
 from jaxcrumple._jax.device import mapped
-
-EPSILON = float(np.finfo(np.float64).eps)
 
 Vec = tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]
 
@@ -88,6 +86,29 @@ def longest(vectors: NodeVectors) -> Scalar:
     return jnp.sqrt(jnp.max(jnp.sum(vectors * vectors, axis=1)))
 
 
+class HalfAngle(NamedTuple):
+    """Sine and cosine of half a hinge's angle.
+
+    They say what an angle does without an arc tangent, which takes as long as all else about a hinge: a
+    processor computes it for one hinge at a time.
+    """
+
+    sine: Float[Array, "..."]
+    cosine: Float[Array, "..."]
+
+    @property
+    def angle(self) -> Float[Array, "..."]:
+        """Signed angle in rad, in [-pi, pi]."""
+        return 2.0 * jnp.arctan2(self.sine, self.cosine)
+
+    def minus(self, other: "HalfAngle") -> "HalfAngle":
+        """Return half the difference of two angles; its cosine is negative beyond 180 degrees."""
+        return HalfAngle(
+            self.sine * other.cosine - self.cosine * other.sine,
+            self.cosine * other.cosine + self.sine * other.sine,
+        )
+
+
 class Hinge(NamedTuple):
     """Intermediate quantities of a hinge's angle and its derivatives (all arrays (m,) or Vec)."""
 
@@ -102,6 +123,11 @@ class Hinge(NamedTuple):
     curvature: Float[Array, "..."]
     slope: Float[Array, "..."]
 
+    @property
+    def half(self) -> HalfAngle:
+        """Half of the signed angle."""
+        return HalfAngle(0.5 * self.curvature, self.slope)
+
 
 def hinge(x0: Vec, x1: Vec, x2: Vec, x3: Vec) -> Hinge:
     """Edges, normals and signed angle of a hinge (Fig. 3a)."""
@@ -111,10 +137,12 @@ def hinge(x0: Vec, x1: Vec, x2: Vec, x3: Vec) -> Hinge:
     # (n1 x n2).e0_hat = -|e0| (n2.e1): one product instead of a cross product (eq. 30).
     sine, cosine = -edge_length * dot(n2, e1), dot(n1, n2)
     size = jnp.sqrt(sine * sine + cosine * cosine)
-    # The sum of size and cosine, without cancellation where the cosine is negative; not 0 at 180 degrees.
+    # Of size + cosine and size - cosine, one would cancel. The other gives sine and cosine of the half angle,
+    # which change places at 90 degrees. Quotients, because XLA on CPU recomputes products (`hinge_gradient`).
     larger = size + jnp.abs(cosine)
-    above = jnp.maximum(jnp.where(cosine > 0, larger, sine * sine / larger), EPSILON * size)
-    bent, slope = sine * jnp.sqrt(2.0 / (size * above)), jnp.sqrt(0.5 * above / size)
+    root = jnp.sqrt(0.5 * size * larger)
+    bent = jnp.where(cosine > 0, sine, jnp.where(sine < 0, -larger, larger)) / root
+    slope = jnp.where(cosine > 0, larger, jnp.abs(sine)) / (2.0 * root)
     return Hinge(e0, e1, e2, n1, n2, edge_length, jnp.arctan2(sine, cosine), bent, slope)
 
 

@@ -6,6 +6,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxcrumple._jax.arrays import HingeValues, NodeVectors, Scalar
 from jaxcrumple.geometry.hinge import (
+    HalfAngle,
     Hinge,
     curvature,
     gather,
@@ -15,8 +16,11 @@ from jaxcrumple.geometry.hinge import (
 )
 from jaxcrumple.model.elements import scatter
 
-# Onset in rad of the fold stop, which keeps faces from passing through each other.
+# Onset in rad of the fold stop, which keeps faces from passing through each other, and its width.
 FOLD_STOP = jnp.pi * 170.0 / 180.0
+STOP_WIDTH = jnp.pi - FOLD_STOP
+# Coefficients of arcsin(s)/s in s^2: for s up to the sine of half the width the rest is below rounding.
+ARCSINE = (1.0, 1.0 / 6.0, 3.0 / 40.0, 5.0 / 112.0, 35.0 / 1152.0, 63.0 / 2816.0, 231.0 / 13312.0)
 
 
 def fold_stop(theta: Float[Array, " *axes"]) -> Float[Array, " *axes"]:
@@ -25,8 +29,7 @@ def fold_stop(theta: Float[Array, " *axes"]) -> Float[Array, " *axes"]:
     It is zero below the onset, where it is twice continuously differentiable. It is infinite at 180 degrees,
     where the torque of the elastic energy vanishes and the sign of $\\theta$ would flip.
     """
-    reach = jnp.pi - FOLD_STOP
-    u = jnp.maximum(jnp.abs(theta) - FOLD_STOP, 0.0) / reach
+    u = jnp.maximum(jnp.abs(theta) - FOLD_STOP, 0.0) / STOP_WIDTH
     return u * u * u / (1.0 - u)
 
 
@@ -41,14 +44,18 @@ def hinge_energy(
     return stiffness * (0.5 * elastic * elastic + fold_stop(theta))
 
 
-def stop_derivatives(theta: Float[Array, " *axes"]) -> tuple[Float[Array, " *axes"], Float[Array, " *axes"]]:
-    """First and second derivative of `fold_stop` with respect to the angle."""
-    reach = jnp.pi - FOLD_STOP
-    u = jnp.maximum(jnp.abs(theta) - FOLD_STOP, 0.0) / reach
-    w = 1.0 / (1.0 - u)
-    first = u * u * (3.0 - 2.0 * u) * w * w / reach
-    second = 2.0 * u * (3.0 - 3.0 * u + u * u) * w * w * w / (reach * reach)
-    return jnp.sign(theta) * first, second
+def stop_derivatives(half: HalfAngle) -> tuple[Float[Array, " *axes"], Float[Array, " *axes"]]:
+    """First and second derivative of `fold_stop` with respect to the angle, given its half."""
+    # What is left of the width. The series is exact within it, and only has to exceed it elsewhere.
+    square = half.cosine * half.cosine
+    series = jnp.full_like(square, ARCSINE[-1])
+    for coefficient in reversed(ARCSINE[:-1]):
+        series = coefficient + square * series
+    left = jnp.minimum(2.0 / STOP_WIDTH * half.cosine * series, 1.0)
+    u, w = 1.0 - left, 1.0 / left
+    first = u * u * (3.0 - 2.0 * u) * w * w / STOP_WIDTH
+    second = 2.0 * u * (3.0 - 3.0 * u + u * u) * w * w * w / (STOP_WIDTH * STOP_WIDTH)
+    return jnp.sign(half.sine) * first, second
 
 
 class Bending(eqx.Module):
@@ -99,7 +106,7 @@ class Bending(eqx.Module):
         self, hinges: Hinge, p: HingeValues, softening: HingeValues | float
     ) -> tuple[HingeValues, HingeValues]:
         """First and second derivative of the energies with respect to the angle, with dp/dc = `softening`."""
-        stop1, stop2 = stop_derivatives(hinges.theta)
+        stop1, stop2 = stop_derivatives(hinges.half)
         c, slope = hinges.curvature, hinges.slope
         first = (c - p) * slope + stop1
         second = (1.0 - softening) * slope * slope - 0.25 * (c - p) * c + stop2

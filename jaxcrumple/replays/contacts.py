@@ -19,6 +19,7 @@ from jaxcrumple.contact.lists import (
     motion,
     no_pairs,
     nowhere,
+    unknown_turns,
 )
 from jaxcrumple.contact.narrow_phase import find_pairs
 from jaxcrumple.scene import Scene, with_lists
@@ -113,8 +114,7 @@ def in_stretch(scene: Scene, lists: StretchLists | None) -> Scene:
     if lists is None:
         return with_lists(scene, None)
     # The run has checked that its steps pass through nothing, so a replay does not use these fold angles.
-    unknown = jnp.full(scene.bending.nodes.shape[0], jnp.nan), jnp.asarray(jnp.nan, float)
-    here = nowhere(scene.n_nodes)
+    unknown, here = unknown_turns(scene.bending.nodes.shape[0]), nowhere(scene.n_nodes)
     candidates = CandidatePairs(here, lists.triangles, lists.count, lists.folded, *unknown)
     pairs = no_pairs(scene.n_nodes, lists.capacity)
     return with_lists(scene, ContactLists(candidates, pairs, matrix=lists.matrix))

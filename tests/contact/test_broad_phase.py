@@ -35,8 +35,7 @@ def found(scene, x, skin, capacity=6000):
     """Candidates by the grid."""
 
     def search(scene, reference):
-        theta = scene.bending.hinges(reference.x).theta
-        return find_candidates(scene.contact, theta, reference, capacity)
+        return find_candidates(scene.contact, scene.bending.hinges(reference.x).half, reference, capacity)
 
     return eqx.filter_jit(search)(scene, Reference(x, skin))
 
@@ -112,9 +111,9 @@ def test_a_bound_on_how_folds_turn_never_hides_one_that_turns_more():
     contact = scene.contact
     rng, plain = np.random.default_rng(7), 0
     for size in SIGMA * np.array([0.0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3]):
-        theta = scene.bending.hinges(x + jnp.asarray(rng.normal(scale=size, size=x.shape))).theta
-        turn = np.asarray(contact.fans.turning(theta))[~np.asarray(candidates.folded)].max()
-        told = float(largest_unlisted_turn(contact, candidates, theta))
+        half = scene.bending.hinges(x + jnp.asarray(rng.normal(scale=size, size=x.shape))).half
+        turn = np.asarray(contact.fans.turning(half.angle))[~np.asarray(candidates.folded)].max()
+        told = float(largest_unlisted_turn(contact, candidates, half))
         assert told == turn or turn <= told < DUE_TURN
         plain += told != turn
     assert 2 <= plain <= 5

@@ -49,6 +49,17 @@ def test_curvature_and_slope_are_those_of_the_angle(sign):
     exact, loss = hinge.theta, 20.0 * np.finfo(float).eps / np.cos(theta / 2) ** 2
     assert np.all(np.abs(hinge.curvature / (2.0 * np.sin(exact / 2)) - 1.0) < loss)
     assert np.all(np.abs(hinge.slope / np.cos(exact / 2) - 1.0) < loss)
+    assert np.all(np.abs(hinge.half.angle / exact - 1.0) < loss)
+
+
+def test_half_of_a_difference_of_angles():
+    """Also of more than 180 degrees, which its cosine tells."""
+    one, two = np.random.default_rng(5).uniform(-np.pi, np.pi, (2, 1000))
+    half = [geometry.HalfAngle(np.sin(0.5 * angle), np.cos(0.5 * angle)) for angle in (one, two)]
+    change = half[0].minus(half[1])
+    assert np.max(np.abs(change.angle - (one - two))) < 1e-14
+    assert np.array_equal(change.cosine < 0, np.abs(one - two) > np.pi)
+    assert 100 < np.sum(change.cosine < 0) < 900
 
 
 # --- Flat hinges ---------------------------------------------------------------------------------

@@ -26,6 +26,7 @@ from elements import (
 )
 
 from jaxcrumple.geometry import hinge as geometry
+from jaxcrumple.geometry.hinge import HalfAngle
 from jaxcrumple.model import bending
 from jaxcrumple.model.bending import Bending
 from jaxcrumple.model.damping import CentralDashpot, PaperDashpot
@@ -221,9 +222,10 @@ def stop_formulas(theta):
 
 
 def test_fold_stop_and_its_closed_derivatives():
-    theta = np.concatenate([np.linspace(-3.14, 3.14, 2001), [0.0, FOLD_STOP, -FOLD_STOP]])
+    theta = np.concatenate([np.linspace(-3.14, 3.14, 2001), [0.0, FOLD_STOP - 1e-12, 1e-12 - FOLD_STOP]])
     value, first, second = stop_formulas(theta)
-    stop = [bending.fold_stop(jnp.asarray(theta)), *bending.stop_derivatives(jnp.asarray(theta))]
+    half = HalfAngle(jnp.sin(0.5 * theta), jnp.cos(0.5 * theta))
+    stop = [bending.fold_stop(jnp.asarray(theta)), *bending.stop_derivatives(half)]
     for actual, expected in zip(stop, (value, first, second), strict=True):
         assert np.max(np.abs(actual - expected) / (1.0 + np.abs(expected))) < 1e-9
     slope = jax.grad(bending.fold_stop)

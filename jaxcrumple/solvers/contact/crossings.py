@@ -45,5 +45,5 @@ def unlisted_turn(scene: Scene, x: NodeVectors) -> Scalar:
     """
     if scene.contact is None:
         return jnp.zeros(())
-    theta = scene.bending.hinges(x).theta
-    return largest_unlisted_turn(scene.contact, scene.own_lists.candidates, theta)
+    half = scene.bending.hinges(x).half
+    return largest_unlisted_turn(scene.contact, scene.own_lists.candidates, half)

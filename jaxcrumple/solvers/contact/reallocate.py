@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Int
 
-from jaxcrumple._jax.arrays import HingeValues, NodeVectors, NodeVectorsLike, Scalar
+from jaxcrumple._jax.arrays import NodeVectors, NodeVectorsLike, Scalar
 from jaxcrumple._jax.door import door
 from jaxcrumple._jax.program_cache import make_room
 from jaxcrumple._jax.stored_programs import StoredJit, forget_programs
@@ -26,6 +26,7 @@ from jaxcrumple.contact.lists import (
     no_pairs,
 )
 from jaxcrumple.contact.narrow_phase import find_pairs
+from jaxcrumple.geometry.hinge import HalfAngle
 from jaxcrumple.scene import Scene, require_scene, with_lists
 from jaxcrumple.solvers.contact.schedule import empty_lists
 from jaxcrumple.state import Listing, State, check_positions, first_listing
@@ -167,19 +168,19 @@ def _places_of(lists: ContactLists) -> float:
 
 
 @StoredJit
-def _turned(scene: Scene, x: NodeVectors, folded: Bool[Array, " ways"]) -> tuple[HingeValues, Scalar]:
-    """Return the hinge angles (h,) in rad at positions `x` (n, 3), and the largest turn in rad of the ways
-    that are not `folded` (w,)."""
+def _turned(scene: Scene, x: NodeVectors, folded: Bool[Array, " ways"]) -> tuple[HalfAngle, Scalar]:
+    """Return the halves of the hinge angles (h,) at positions `x` (n, 3), and the largest turn in rad of the
+    ways that are not `folded` (w,)."""
     assert scene.contact is not None
-    theta = scene.bending.hinges(x).theta
-    return theta, largest_turn(scene.contact.fans.turning(theta), folded)
+    half = scene.bending.hinges(x).half
+    return half, largest_turn(scene.contact.fans.turning(half.angle), folded)
 
 
 def _with_candidates(lists: ContactLists, size: int) -> ContactLists:
     """Return the lists with an empty list of candidates of capacity `size`."""
     old = lists.candidates
     nodes = old.reference.x.shape[0]
-    return lists._replace(candidates=no_candidates(nodes, len(old.theta), len(old.folded), size))
+    return lists._replace(candidates=no_candidates(nodes, len(old.half.sine), len(old.folded), size))
 
 
 @door

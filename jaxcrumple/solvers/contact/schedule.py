@@ -160,8 +160,7 @@ def renewed(scene: Scene, state: State, schedule: Schedule | None) -> tuple[Stat
 
     def search(scene: Scene, reference: Reference) -> CandidatePairs:
         assert scene.contact is not None
-        theta = scene.bending.hinges(reference.x).theta
-        return find_candidates(scene.contact, theta, reference, room)
+        return find_candidates(scene.contact, scene.bending.hinges(reference.x).half, reference, room)
 
     other = schedule.due & ~candidates.reference.equals(schedule.candidates)
     candidates = where_needed(other, search, candidates, scene, schedule.candidates)
@@ -171,7 +170,7 @@ def renewed(scene: Scene, state: State, schedule: Schedule | None) -> tuple[Stat
     # An overflow for a far step does not ask for capacity: `ready_for` then asks for a short step.
     full = (pairs.overflow & ~_far(contact, schedule)) | candidates.overflow
     state = eqx.tree_at(lambda s: s.listing.needed, state, jnp.where(full, needed, 0))
-    turn = coverage.largest_unlisted_turn(contact, candidates, scene.bending.hinges(state.x).theta)
+    turn = coverage.largest_unlisted_turn(contact, candidates, scene.bending.hinges(state.x).half)
     if active is not None:
         # The active set refers to places in the old list.
         count = jnp.where(schedule.due, -1, active.count)

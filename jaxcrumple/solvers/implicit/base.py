@@ -116,11 +116,11 @@ def judge(
     """Return the cause (index into `CAUSES`) to reject the step to `x` at time `t`, or -1 to accept it.
 
     `converged`: whether its equations are solved; `indefinite`: whether their tangent is indefinite."""
-    before = scene.bending.hinges(state.x).theta
-    after = scene.bending.hinges(x).theta
+    before = scene.bending.hinges(state.x).half
+    after = scene.bending.hinges(x).half
     finite = jnp.all(jnp.isfinite(x)) & jnp.isfinite(error)
     # An angle that passes 180 degrees reappears with the other sign: it jumps by more than pi.
-    flipped = jnp.max(jnp.abs(after - before)) > jnp.pi
+    flipped = jnp.any(after.minus(before).cosine < 0)
     checks = {
         "nonfinite": ~finite,
         "newton": ~converged,
