@@ -89,8 +89,8 @@ def longest(vectors: NodeVectors) -> Scalar:
 class HalfAngle(NamedTuple):
     """Sine and cosine of half a hinge's angle.
 
-    They say what an angle does without an arc tangent, which takes as long as all else about a hinge: a
-    processor computes it for one hinge at a time.
+    They say what an angle does without an arc tangent. A processor computes arc tangents one at a time: they
+    were a third of the time of the bending forces.
     """
 
     sine: Float[Array, "..."]
