@@ -222,7 +222,7 @@ def stop_formulas(theta):
 
 
 def test_fold_stop_and_its_closed_derivatives():
-    theta = np.concatenate([np.linspace(-3.14, 3.14, 2001), [0.0, FOLD_STOP - 1e-12, 1e-12 - FOLD_STOP]])
+    theta = np.concatenate([np.linspace(-3.14, 3.14, 2001), [0.0, FOLD_STOP, -FOLD_STOP]])
     value, first, second = stop_formulas(theta)
     half = HalfAngle(jnp.sin(0.5 * theta), jnp.cos(0.5 * theta))
     stop = [bending.fold_stop(jnp.asarray(theta)), *bending.stop_derivatives(half)]
