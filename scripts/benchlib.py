@@ -23,7 +23,6 @@ from scipy.interpolate import CloughTocher2DInterpolator
 jax.config.update("jax_enable_x64", True)
 
 from jaxcrumple import Integrator, Solution, initial_state, integrator, radial, simulate  # noqa: E402
-from jaxcrumple.geometry.hinge import curvature  # noqa: E402
 from jaxcrumple.history import ImplicitStep  # noqa: E402
 from jaxcrumple.scene import Scene  # noqa: E402
 from jaxcrumple.state import State  # noqa: E402
@@ -177,7 +176,7 @@ def refined(nodes: int, t: float, folder: Path) -> State:
     shape = CloughTocher2DInterpolator(start.mesh.vertices[:, :2], np.asarray(state.x))
     x = jnp.asarray(shape(inner * setup.mesh.vertices[:, :2]))
     scene = setup.scene
-    c = curvature(scene.bending.hinges(x).theta)
+    c = scene.bending.hinges(x).curvature
     p = jnp.sign(c) * jnp.maximum(jnp.abs(c) - scene.plasticity.yield_threshold, 0.0)
     fine = initial_state(scene, x)
     rest = jnp.broadcast_to(p, fine.history.p.shape)
