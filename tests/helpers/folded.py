@@ -1,5 +1,7 @@
 """Sheets folded onto themselves, and their contact energy by brute force."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 import jaxcrumple as jc
@@ -50,6 +52,15 @@ def folded(mesh: jc.Mesh, gap: float, columns: tuple[int, ...] = COLUMNS) -> np.
         x[layer == k, 2] = (k - 0.5 * (len(columns) - 1)) * gap
         fold, way = start + way * length, -way
     return x
+
+
+def folded_sheet(gap: float, contact: jc.SelfContact) -> tuple[jc.Scene, jax.Array]:
+    """An elastic strip folded in half, its layers `gap` m apart: scene with contact lists, and positions."""
+    columns = (5, 5)
+    mesh = strip(gap, columns, rows=7)
+    x = jnp.asarray(folded(mesh, gap, columns))
+    material = jc.Material(thickness=3e-4, yield_curvature=None)
+    return jc.with_contacts(jc.sheet(mesh, material, contact=contact), x), x
 
 
 def site_lattice(parts: int) -> tuple[np.ndarray, np.ndarray]:

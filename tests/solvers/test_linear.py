@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.sparse as sparse
-from folded import folded, strip
+from folded import folded_sheet
 from lattice import elastic
 from linear_solvers import ITERATIVE, SOLVERS, needs_direct
 from scipy.sparse.linalg import spsolve
 
-from jaxcrumple import SelfContact, with_contacts
+from jaxcrumple import SelfContact
 from jaxcrumple.assembly.sparsity import build_pattern
 from jaxcrumple.material.material import Material
 from jaxcrumple.mesh.generate import rectangle
@@ -252,17 +252,14 @@ def test_the_direct_solver_solves_indefinite_systems():
 @needs_direct
 def test_the_direct_solver_refines_by_sheet_and_contact_together():
     """Its one matrix must have every block: refinement by another would leave what that lacks."""
-    mesh = strip(0.8e-3, columns=(5, 5), rows=7)
-    x = jnp.asarray(folded(mesh, 0.8e-3, (5, 5)))
-    contact = SelfContact(range=1e-3, level=4)
-    scene = with_contacts(sheet(mesh, Material(thickness=3e-4, yield_curvature=None), contact=contact), x)
+    scene, x = folded_sheet(0.8e-3, SelfContact(range=1e-3, level=4))
     pattern = scene.sparsity
     with pytest.raises(ValueError, match="the direct solver needs the contact lists"):
         Direct().start(without_matrix(scene).sparsity)
     values = eqx.filter_jit(elastic_tangent)(scene, x, None, jnp.asarray(0.0), 1e7)
     blocks = values[pattern.nnz : pattern.nnz + pattern.contact.size]
     assert jnp.max(jnp.abs(blocks)) > 1e-3 * jnp.max(jnp.abs(values))
-    rhs = jnp.asarray(np.random.default_rng(0).normal(size=3 * mesh.n_nodes))
+    rhs = jnp.asarray(np.random.default_rng(0).normal(size=3 * scene.n_nodes))
 
     @eqx.filter_jit
     def left(values, rhs):

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from folded import folded, strip
+from folded import folded_sheet
 
 from jaxcrumple import (
     Material,
@@ -19,7 +19,6 @@ from jaxcrumple import (
     radial,
     rectangle,
     sheet,
-    with_contacts,
 )
 from jaxcrumple.assembly import contact_blocks
 from jaxcrumple.assembly.coarse_space import build_coarse_space
@@ -227,12 +226,8 @@ def test_factorisations_wait_for_each_other():
 @pytest.mark.slow
 @pytest.mark.parametrize("solver", [TwoLevel(), BlockCG()], ids=["two-level", "block-cg"])
 def test_layers_that_press_one_another_are_not_taken_for_unstable(solver):
-    gap, sigma = 0.95e-3, 1e-3
-    mesh = strip(gap, columns=(5, 5), rows=7)
-    x = jnp.asarray(folded(mesh, gap, (5, 5)))
     # By this law the sheet's own part is indefinite at this gap, and the whole matrix is not.
-    contact = SelfContact(range=sigma, level=4, potential="penalty")
-    scene = with_contacts(sheet(mesh, Material(thickness=3e-4, yield_curvature=None), contact=contact), x)
+    scene, x = folded_sheet(0.95e-3, SelfContact(range=1e-3, level=4, potential="penalty"))
     creased = curvature(scene.bending.hinges(x).theta)
     scene = eqx.tree_at(lambda s: s.bending.rest_curvature, scene, creased)
     pattern = scene.sparsity
@@ -240,7 +235,7 @@ def test_layers_that_press_one_another_are_not_taken_for_unstable(solver):
     def matrices(shift):
         values = eqx.filter_jit(elastic_tangent)(scene, x, None, jnp.asarray(0.0), shift)
         own = jax.vmap(eqx.tree_at(lambda p: p.contact, pattern, None).product, (None, 0))
-        unit = jnp.eye(3 * mesh.n_nodes)
+        unit = jnp.eye(3 * scene.n_nodes)
         parts = own(values[: pattern.nnz], unit), own(pattern.separate(values), unit)
         return values, jax.vmap(pattern.product, (None, 0))(values, unit), *parts
 
@@ -249,7 +244,7 @@ def test_layers_that_press_one_another_are_not_taken_for_unstable(solver):
     values, whole, alone, separate = matrices(-3.0 * lowest / mass)
     low = [float(jnp.linalg.eigvalsh(matrix)[0]) for matrix in (whole, alone, separate)]
     assert low[0] > 0 > low[1] and low[2] > 0
-    rhs = jnp.asarray(np.random.default_rng(0).normal(size=3 * mesh.n_nodes))
+    rhs = jnp.asarray(np.random.default_rng(0).normal(size=3 * scene.n_nodes))
     negative, solution = solve(solver, pattern, values, rhs, 1e-6)
     assert int(negative) <= 0 and not bool(solution.indefinite)
     left = rhs - whole @ solution.x
@@ -257,15 +252,12 @@ def test_layers_that_press_one_another_are_not_taken_for_unstable(solver):
 
 
 def test_products_with_contact_on_any_device(monkeypatch):
-    mesh = strip(0.95e-3, columns=(5, 5), rows=7)
-    x = jnp.asarray(folded(mesh, 0.95e-3, (5, 5)))
-    contact = SelfContact(range=1e-3, level=4)
-    scene = with_contacts(sheet(mesh, Material(thickness=3e-4, yield_curvature=None), contact=contact), x)
+    scene, _ = folded_sheet(0.95e-3, SelfContact(range=1e-3, level=4))
     blocks = scene.sparsity.contact
     assert 0 < int(blocks.count) < len(blocks.triangles)
-    rng, size = np.random.default_rng(0), 3 * mesh.n_nodes
+    rng, size = np.random.default_rng(0), 3 * scene.n_nodes
     # Values of pairs that are not in the list must not count.
-    appended, u = rng.normal(size=blocks.size + mesh.n_nodes), rng.normal(size=size)
+    appended, u = rng.normal(size=blocks.size + scene.n_nodes), rng.normal(size=size)
     held = np.where(np.arange(blocks.size) < 81 * int(blocks.count), appended[: blocks.size], 0.0)
     upper = blocks.upper(np.append(held, appended[blocks.size :]), size).toarray()
     expected = (upper + np.triu(upper, 1).T) @ u
