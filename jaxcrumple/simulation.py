@@ -28,7 +28,7 @@ from jaxcrumple.solvers.log import Log
 from jaxcrumple.solvers.scheme import Integrator, checked_solver, integrator
 from jaxcrumple.solvers.start import check_gap, check_start, in_the_way, pierced
 from jaxcrumple.solvers.tables import events_table, history_table, joined
-from jaxcrumple.state import CAUSES, EXPLICIT, IMPLICIT, QUASISTATIC, RESULTS, State, check_state
+from jaxcrumple.state import RESULTS, State, check_state
 
 # Shortest time in s between reports to observers; calls of `integrate` may be shorter.
 CHUNK = 1.0
@@ -37,7 +37,7 @@ CHUNK = 1.0
 CALL, SHORTEST = 8.0, 32.0
 # Most steps in a call of a recorded run: the loop copies their positions with its other variables.
 TRAIL = 256
-# A first call that takes longer than this, in s, has compiled, and leaves much free memory.
+# A call without steps that takes longer than this, in s, has compiled, and leaves much free memory.
 COMPILED = 1.0
 # Most consecutive calls that wait for a larger list and make no attempt: more than the lists can double.
 MOST_WAITS = 100
@@ -72,8 +72,8 @@ class Solution:
     - Frames at the times `t` (f,) in s that the run reached: positions `x` (f, n, 3) in m, velocities `v` (f,
       n, 3) in m/s, rest curvatures `p` (f, h) or None.
     - `history`: table with one row per step, or per 16 explicit steps; `events`: table of changes of stage.
-    - `compile_s`, `run_s`: wall time in s. `record`: the accepted steps for `replay` with `record=True`, else
-      None.
+    - `compile_s`, `run_s`: wall time in s of compiling, also again for longer contact lists, and of the rest.
+    - `record`: the accepted steps for `replay` with `record=True`, else None.
     """
 
     state: State
@@ -187,9 +187,8 @@ def simulate(
             scene = reallocation.first(scene, state)
             check_gap(scene, state)
         tell_phase(watchers, "compiling")
-        compile_s = _compile(scene, state, solver, recorder)
+        first_s = _compile(scene, state, solver, recorder)
         tell_phase(watchers, "stepping")
-        start = time.perf_counter()
         budget = _Budget(state, max_attempts, max_seconds)
         state = eqx.tree_at(lambda s: s.result, state, RESULTS.success)
         for index in range(first_frame, len(stops)):
@@ -205,8 +204,8 @@ def simulate(
             if scene.contact is not None and len(pierced(scene, state.x)):
                 state = eqx.tree_at(lambda s: s.result, state, RESULTS.intersected)
                 break
-        run_s = time.perf_counter() - start
-    solution = solution_of(scene, state, kept, compile_s, run_s)
+        run_s = budget.spent()
+    solution = solution_of(scene, state, kept, first_s + budget.compile_s, run_s)
     if recorder is not None:
         solution.record = recorder.finished(scene, solver)
     if throw and solution.result != "success":
@@ -255,17 +254,21 @@ def checked_times(times: Times, first_frame: int = 0, now: float = 0.0) -> Float
 
 
 class _Budget:
-    """Limit the attempts and the wall time of a run."""
+    """Limit the attempts and the wall time of a run, without the `compile_s` of longer contact lists."""
 
     def __init__(self, state: State, attempts: int | None, seconds: float | None):
         self.first = int(attempts_of(state))
         self.attempts = np.inf if attempts is None else attempts
         self.seconds = np.inf if seconds is None else seconds
-        self.start = time.perf_counter()
+        self.start, self.compile_s = time.perf_counter(), 0.0
+
+    def spent(self) -> float:
+        """Return the wall time in s so far, without compiling."""
+        return time.perf_counter() - self.start - self.compile_s
 
     def left(self, state: State) -> float:
         """Return how many attempts to make before the next check of the clock; 0 or less at a limit."""
-        made, spent = int(attempts_of(state)) - self.first, time.perf_counter() - self.start
+        made, spent = int(attempts_of(state)) - self.first, self.spent()
         if spent >= self.seconds:
             return 0.0
         rate = made / spent
@@ -326,7 +329,6 @@ def _advance(
             state = eqx.tree_at(lambda s: s.result, state, RESULTS.budget)
         else:
             state, log = _called(scene, state, as_float(t_stop), solver, as_float(left), recorder)
-            tell_phase(watchers, "stepping")
             rows.append(np.asarray(log.rows)[: int(log.length)].copy())
             waits = waits + 1 if int(attempts_of(state)) == made else 0
         if waits > MOST_WAITS and _name(state) == "success":
@@ -338,9 +340,13 @@ def _advance(
         if over:
             break
         if reallocation is not None:
-            if reallocation.overflows(state):
+            grows = reallocation.overflows(state)
+            if grows:
                 tell_phase(watchers, "compiling")
             scene = reallocation(scene, state)
+            if grows:
+                budget.compile_s += _compile(scene, state, solver, recorder)
+                tell_phase(watchers, "stepping")
     return scene, state
 
 
@@ -376,24 +382,3 @@ def solution_of(scene: Scene, state: State, kept: Kept, compile_s: float, run_s:
         compile_s=compile_s,
         run_s=run_s,
     )
-
-
-def explain(before: State, after: State) -> str:
-    """Explain in words why steps between two states were short; return "" if they were not."""
-    steps = np.asarray(after.counters.steps) - np.asarray(before.counters.steps)
-    rejected = np.asarray(after.counters.rejected) - np.asarray(before.counters.rejected)
-    reasons = {
-        "error": "the tolerance",
-        "newton": "Newton's iteration failing on large steps",
-        "unstable": "an equilibrium about to buckle",
-        "fold": "hinges about to pass 180 degrees",
-        "nonfinite": "numbers that are not finite",
-        "contact": "layers or walls that longer steps would pass through",
-    }
-    going = bool(after.result != RESULTS.collapsed)
-    if going and steps[EXPLICIT] > steps[QUASISTATIC] + steps[IMPLICIT]:
-        return f"a snap: explicit steps of {float(after.h_explicit):.1e} s, at their stability limit"
-    worst = int(np.argmax(rejected))
-    if rejected[worst] * 4 > steps[QUASISTATIC] + steps[IMPLICIT]:
-        return f"steps are cut by {reasons[CAUSES[worst]]}"
-    return ""

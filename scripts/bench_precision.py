@@ -1,10 +1,11 @@
 """Run time against error: schemes and linear solvers at many tolerances, against a tight reference.
 
-Three stretches: `radial` from its start through the first buckling, windows of 50 steps from recorded states,
-and the snap of a spherical cap. The reference is `dynamic`, inertia throughout, at a tolerance below those
-compared: what quasistatic steps leave out counts as error.
+Four stretches: `radial` from its start through the first buckling, windows of 50 steps from recorded states,
+the snap of a spherical cap, and a window in dense contact. The reference is `dynamic`, inertia throughout, at
+a tolerance below those compared: what quasistatic steps leave out counts as error.
 
     python scripts/bench_precision.py [--nodes N ...] [--stretch radial windows snap] [--resume] [--json FILE]
+    python scripts/bench_precision.py --nodes 3000 --stretch contact
 """
 
 import functools
@@ -36,18 +37,25 @@ OURS = ("hybrid", "dynamic", "alternating")
 # Tolerance of the reference, and those compared.
 TIGHTEST = 3e-7
 LADDER = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
+# The same in dense contact, where steps are shorter, and what is compared there: others take hours.
+TIGHTEST_IN_CONTACT = 3e-5
+LADDER_IN_CONTACT = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3)
+COMPARED_IN_CONTACT = (("hybrid", "direct"),)
 # A window is as long as this many steps of the default scheme.
 WINDOW_STEPS = 50
+# Start and length in s of the window in dense contact (R = 3.15 cm).
+CONTACT_START, CONTACT_LENGTH = 3.95, 0.02
 # Seconds after which a run gives up.
 PATIENCE = 240.0
 
 
 class Stretch(NamedTuple):
-    """A piece of motion: its start, and the times at which positions are compared."""
+    """A piece of motion: its start, the times at which positions are compared, and the reference's rtol."""
 
     scene: Scene
     state: State
     times: np.ndarray
+    tightest: float = TIGHTEST
 
 
 def smooth(nodes: int) -> Stretch:
@@ -74,6 +82,13 @@ def window(name: str, nodes: int, folder: Path) -> Stretch:
     return Stretch(scene, state, times)
 
 
+def contact(nodes: int, folder: Path) -> Stretch:
+    """A window in dense contact, of the self-avoiding sheet."""
+    scene, state = recorded(nodes, CONTACT_START, folder, "inverse-power", (CONTACT_START,))
+    times = CONTACT_START + np.linspace(0.0, CONTACT_LENGTH, 6)[1:]
+    return Stretch(scene, state, times, TIGHTEST_IN_CONTACT)
+
+
 def stretches(kinds: list[str], nodes: int, folder: Path) -> dict[str, Callable[[], Stretch]]:
     """What makes each stretch of the `kinds`, by name."""
     makers: dict[str, Callable[[], Stretch]] = {}
@@ -83,15 +98,17 @@ def stretches(kinds: list[str], nodes: int, folder: Path) -> dict[str, Callable[
         makers |= {f"window {name}": functools.partial(window, name, nodes, folder) for name in STATES}
     if "snap" in kinds:
         makers["cap"] = functools.partial(snap, nodes)
+    if "contact" in kinds:
+        makers["dense contact"] = functools.partial(contact, nodes, folder)
     return makers
 
 
 def run(stretch: Stretch, scheme: str, linear: str | None, rtol: float, patience: float = PATIENCE):
     """Positions at the stretch's times, CPU seconds, steps and result of one run; compiling apart."""
     solver = integrator(rtol, scheme=scheme, linear=linear)
-    scene, state, times = stretch
-    timed = timed_run(scene, state, times, solver, max_seconds=patience)
-    steps = np.asarray(timed.solution.state.counters.steps) - np.asarray(state.counters.steps)
+    timed = timed_run(stretch.scene, stretch.state, stretch.times, solver, max_seconds=patience)
+    before = stretch.state.counters
+    steps = np.asarray(timed.solution.state.counters.steps) - np.asarray(before.steps)
     return timed.solution, timed.cpu_s, steps
 
 
@@ -104,7 +121,7 @@ def compare(make: Callable[[], Stretch], name: str, nodes: int, compared, rtols,
 
     @functools.cache
     def reference() -> np.ndarray:
-        return run(made(), "dynamic", None, TIGHTEST, np.inf)[0].x
+        return run(made(), "dynamic", None, made().tightest, np.inf)[0].x
 
     rows: list[dict] = []
     for rtol in rtols:
@@ -133,10 +150,11 @@ def measured(stretch: Stretch, reference: np.ndarray, case: dict) -> dict:
     error = np.nan
     if solution.result == "success":
         error = np.abs(solution.x - reference).max() / float(stretch.scene.length_scale)
-    newton = solution.state.counters.newton - stretch.state.counters.newton
+    after, before = solution.state.counters, stretch.state.counters
     return {
         "error": float(error), "cpu_s": spent, "wall_s": solution.run_s, "steps": [int(s) for s in steps],
-        "newton": int(newton), "result": solution.result,
+        "newton": int(after.newton - before.newton), "factors": int(after.factors - before.factors),
+        "result": solution.result,
     }  # fmt: skip
 
 
@@ -173,12 +191,13 @@ def table(rows: list[dict]) -> str:
         [
             r["stretch"], r["nodes"], r["scheme"], r["linear"] or "own", f"{r['rtol']:.0e}",
             f"{r['error']:.1e}",
-            f"{r['cpu_s']:.1f}", " + ".join(map(str, r["steps"])), r["result"],
+            f"{r['cpu_s']:.1f}", " + ".join(map(str, r["steps"])), r["newton"], r["factors"], r["result"],
         ]
         for r in rows
     ]  # fmt: skip
-    header = ["stretch", "n", "scheme", "solver", "rtol", "error / sqrt(A)", "CPU s", "steps", "result"]
-    return markdown([*header[:-2], "steps (quasistatic + implicit + explicit)", header[-1]], cells)
+    header = ["stretch", "n", "scheme", "solver", "rtol", "error / sqrt(A)", "CPU s"]
+    steps = "steps (quasistatic + implicit + explicit)"
+    return markdown([*header, steps, "Newton iterations", "factorisations", "result"], cells)
 
 
 def draw(rows: list[dict]) -> Figure:
@@ -205,17 +224,20 @@ def main() -> None:
     """Run the benchmark."""
     parser = options(__doc__, (500,), resumable=True)
     kinds = ["radial", "windows", "snap"]
-    parser.add_argument("--stretch", nargs="+", choices=kinds, default=kinds)
-    parser.add_argument("--rtols", type=float, nargs="+", default=list(LADDER))
+    parser.add_argument("--stretch", nargs="+", choices=[*kinds, "contact"], default=kinds)
+    parser.add_argument("--rtols", type=float, nargs="+")
     schemes = sorted({scheme for scheme, _ in COMPARED})
     parser.add_argument("--schemes", nargs="+", choices=schemes, default=schemes)
     opts = parser.parse_args()
-    compared = [pair for pair in COMPARED if pair[0] in opts.schemes]
     name = "precision_" + "_".join(opts.stretch)
     log, rows = Log(name, opts.resume), []
     for nodes in opts.nodes:
         for key, make in stretches(opts.stretch, nodes, opts.states).items():
-            rows += compare(make, key, nodes, compared, opts.rtols, log)
+            every, ladder = COMPARED, LADDER
+            if key == "dense contact":
+                every, ladder = COMPARED_IN_CONTACT, LADDER_IN_CONTACT
+            compared = [pair for pair in every if pair[0] in opts.schemes]
+            rows += compare(make, key, nodes, compared, opts.rtols or ladder, log)
             jax.clear_caches()
     save(opts, name, table(rows), draw(rows), speed_up(rows), rows)
 

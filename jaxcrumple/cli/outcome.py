@@ -18,7 +18,7 @@ def tell_outcome(summary: dict[str, Any]) -> None:
     lines = [
         f"result: {summary['result']} ({summary['message']})",
         f"t = {summary['t_reached']:.4g} s after {summary['run_s']:.0f} s ({summary['cpu_s']:.0f} CPU s), "
-        f"{summary['compile_s']:.0f} s of it compiling at the last start; rtol {summary['rtol']:g}",
+        f"{summary['compile_s']:.0f} s of it compiling since the last start; rtol {summary['rtol']:g}",
         f"steps: {steps['quasistatic']} quasistatic, {steps['implicit']} implicit and {steps['explicit']} "
         f"explicit with inertia, {steps['rejected']} "
         f"rejected; {summary['switches']} switches",

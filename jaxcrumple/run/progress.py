@@ -11,9 +11,8 @@ from rich.table import Column
 from jaxcrumple.observers import Phase
 from jaxcrumple.run.locking import locking
 from jaxcrumple.run.pace import Pace, duration
-from jaxcrumple.simulation import explain
 from jaxcrumple.solvers.log import ENERGIES
-from jaxcrumple.state import STAGES, State
+from jaxcrumple.state import CAUSES, EXPLICIT, IMPLICIT, QUASISTATIC, RESULTS, STAGES, State
 
 # Seconds between lines if the output is not a terminal.
 INTERVAL = 10.0
@@ -102,7 +101,7 @@ class ConsoleProgress:
             energies = history[list(ENERGIES)].iloc[-1]
             parts += [f"E = {energies.sum() * 1e3:.3g} mJ", locking(energies.to_dict())]
         if self.last is not None:
-            parts.append(explain(self.last, state))
+            parts.append(_short_steps(self.last, state))
         return ", ".join(part for part in parts if part)
 
     def _rate(self, state: State) -> list[str]:
@@ -116,3 +115,24 @@ class ConsoleProgress:
         self.pace.add(now, t)
         left = self.pace.left(self.t_end)
         return parts if left is None or t >= self.t_end else [*parts, f"{duration(left)} or more left"]
+
+
+def _short_steps(before: State, after: State) -> str:
+    """Explain in words why steps between two states were short; return "" if they were not."""
+    steps = np.asarray(after.counters.steps) - np.asarray(before.counters.steps)
+    rejected = np.asarray(after.counters.rejected) - np.asarray(before.counters.rejected)
+    reasons = {
+        "error": "the tolerance",
+        "newton": "Newton's iteration failing on large steps",
+        "unstable": "an equilibrium about to buckle",
+        "fold": "hinges about to pass 180 degrees",
+        "nonfinite": "numbers that are not finite",
+        "contact": "layers or walls that longer steps would pass through",
+    }
+    going = bool(after.result != RESULTS.collapsed)
+    if going and steps[EXPLICIT] > steps[QUASISTATIC] + steps[IMPLICIT]:
+        return f"a snap: explicit steps of {float(after.h_explicit):.1e} s, at their stability limit"
+    worst = int(np.argmax(rejected))
+    if rejected[worst] * 4 > steps[QUASISTATIC] + steps[IMPLICIT]:
+        return f"steps are cut by {reasons[CAUSES[worst]]}"
+    return ""

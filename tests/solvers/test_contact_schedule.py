@@ -1,5 +1,8 @@
 """Keeping the lists of contact while a run goes on: nothing depends on when they were made."""
 
+import itertools
+from types import SimpleNamespace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -110,6 +113,32 @@ def test_lists_that_never_fit_end_in_a_named_result(monkeypatch):
     solution = jc.simulate(scene, state, 1.0)
     assert solution.result == "collapsed"
     np.testing.assert_array_equal(solution.state.x, state.x)
+
+
+def test_compiling_for_longer_lists_uses_no_time_of_the_run(monkeypatch):
+    """By a clock on which each compilation takes 1000 s. The first call only asks for longer lists."""
+    scene, state = pressed_layers()
+    integrate, compile_, compiled, asked = simulation._integrate, simulation._compile, [], []
+
+    def asking(scene, state, *rest):
+        ended, log = integrate(scene, state, *rest)
+        if float(rest[2]) == 0 or asked:
+            return ended, log
+        asked.append(state.listing.needed + 1)
+        return eqx.tree_at(lambda s: s.listing.needed, state, asked[0]), empty_log(1)
+
+    def compiling(*arguments):
+        compile_(*arguments)
+        compiled.append(1000.0)
+        return 1000.0
+
+    clock = SimpleNamespace(perf_counter=lambda: 1e-3 * next(ticks) + sum(compiled))
+    ticks = itertools.count()
+    for name, stand_in in (("_integrate", asking), ("_compile", compiling), ("time", clock)):
+        monkeypatch.setattr(simulation, name, stand_in)
+    solution = jc.simulate(scene, state, 2e-3, max_seconds=600.0)
+    assert asked and solution.result == "success"
+    assert solution.compile_s == 2000.0 and 0.0 < solution.run_s < 1.0
 
 
 @pytest.mark.filterwarnings("ignore:contact level = 3 leaves")
