@@ -17,6 +17,7 @@ import jax
 import numpy as np
 from benchlib import RTOLS, STATES, Log, markdown, options, recorded, save, timed_run
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from jaxcrumple import cap, frame_times, initial_state, integrator, radial, simulate
 from jaxcrumple.scene import Scene
@@ -208,12 +209,15 @@ def draw(rows: list[dict]) -> Figure:
         mine = [r for r in rows if (r["stretch"], r["nodes"]) == key and np.isfinite(r["error"])]
         for number, scheme in enumerate(COMPARED):
             line = [(r["error"], r["cpu_s"]) for r in mine if (r["scheme"], r["linear"]) == scheme]
-            axes.loglog(
-                *np.array(line or [(np.nan, np.nan)]).T,
-                "o-",
-                color=f"C{number}",
-                label=" ".join(filter(None, scheme)),
-            )
+            if line:
+                label = " ".join(filter(None, scheme))
+                axes.loglog(*np.array(line).T, "o-", color=f"C{number}", label=label)
+        # Where an axis spans a decade or so, powers of ten label too little, and its other ticks overlap.
+        for axis, span in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+            if span[1] < 30.0 * span[0]:
+                axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+                axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axis.set_minor_formatter(NullFormatter())
         axes.set(title=f"{key[0]}, n = {key[1]}", xlabel="error / sqrt(A)", ylabel="CPU s")
         axes.grid(alpha=0.3)
         axes.legend(frameon=False, fontsize=7)
