@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxcrumple._jax.arrays import Flag
 from jaxcrumple._jax.memory import require, require_indices
 from jaxcrumple._jax.tree import as_array, as_indices
 from jaxcrumple.assembly.coarse_space import CoarseSpace, build_coarse_space
@@ -66,6 +67,11 @@ class Pattern(eqx.Module):
     def size(self) -> int:
         """Return the length of the vector of values: those of the sheet, then those of contact."""
         return self.nnz + (0 if self.contact is None else self.contact.size + len(self.node_blocks))
+
+    @property
+    def placed(self) -> Flag:
+        """Return whether all listed pairs have entries in the matrix of a direct solver; True without one."""
+        return jnp.asarray(True) if self.contact is None else self.contact.placed()
 
     def padded(self, entries: int, neighbors: int, coarse: CoarseSpace) -> "Pattern":
         """Return the pattern for more `entries` and `neighbors`, with a `coarse` space of another size.

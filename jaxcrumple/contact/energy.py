@@ -28,6 +28,7 @@ from jaxcrumple.contact.active_set import (
 from jaxcrumple.contact.coverage import covers
 from jaxcrumple.contact.lists import ContactLists, SitePairs
 from jaxcrumple.contact.parameters import Contact
+from jaxcrumple.geometry.hinge import Vec
 from jaxcrumple.model.elements import upper_pairs
 
 # Site pairs per chunk of a sum.
@@ -52,12 +53,12 @@ def energy(contact: Contact, lists: ContactLists, x: NodeVectors) -> Scalar:
 def force(contact: Contact, lists: ContactLists, x: NodeVectors) -> NodeVectors:
     """Return the nodal forces (n, 3) in N, (27)-(28); NaN where the lists are not valid."""
 
-    def add(total: NodeVectors, contact: Contact, x: NodeVectors, terms: PairTerms) -> NodeVectors:
+    def add(total: Vec, contact: Contact, x: NodeVectors, terms: PairTerms) -> Vec:
         r, distance = separation(terms, x)
-        push = (-terms.strength * _slope(contact, distance) / distance)[:, None] * r
-        return with_push(total, terms, push)
+        return with_push(total, terms, -terms.strength * _slope(contact, distance) / distance * r.T)
 
-    return _sum(contact, lists, x, likely, add, jnp.zeros_like(x))
+    nothing = 3 * (jnp.zeros(len(x), x.dtype),)
+    return jnp.stack(_sum(contact, lists, x, likely, add, nothing), axis=1)
 
 
 def add_tangent(
@@ -111,18 +112,17 @@ def nearer_product(
     """
     found, holds = interacting(contact, lists, x, CLOSER), covers(lists, x)
 
-    def add(
-        total: NodeVectors, contact: Contact, both: tuple[NodeVectors, NodeVectors], terms: PairTerms
-    ) -> NodeVectors:
+    def add(total: Vec, contact: Contact, both: tuple[NodeVectors, NodeVectors], terms: PairTerms) -> Vec:
         (r, distance), (change, _) = separation(terms, both[0]), separation(terms, both[1])
         matrix, _ = _matrices(
             contact, terms, r / distance[:, None], contact.potential.closer(distance, CLOSER)
         )
-        return with_push(total, terms, jnp.sum(matrix * change[:, None], axis=2))
+        return with_push(total, terms, jnp.sum(matrix * change[:, None], axis=2).T)
 
     def product(u: NodeVectors) -> NodeVectors:
-        total = _added(contact, lists.pairs, (x, u), found, add, jnp.zeros_like(x))
-        return jnp.where(holds, total, jnp.nan)
+        nothing = 3 * (jnp.zeros(len(x), x.dtype),)
+        total = _added(contact, lists.pairs, (x, u), found, add, nothing)
+        return jnp.where(holds, jnp.stack(total, axis=1), jnp.nan)
 
     return product
 

@@ -14,16 +14,20 @@ from functools import reduce
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from jaxcrumple._jax.arrays import Count, Flag, NodeValues, NodeVectors, Scalar
+from jaxcrumple._jax.padded import filled
 from jaxcrumple.geometry.hinge import HalfAngle, dot
 
 # Sites closer than this many ranges at rest are neighbours at rest: they never interact.
 EXCLUSION = 2.0
 # Key of an unused entry: larger than the keys of all pairs of triangles.
 NONE = jnp.iinfo(jnp.int64).max
+# Pairs of triangles per chunk.
+TRIANGLES = 1024
 # Capacity of a list that grows over its required size. A new capacity needs a compilation, which takes longer
 # than many steps.
 SOON = 1.5
@@ -125,9 +129,16 @@ class SitePairs(VerletList):
         return self.approach_of(faces, reduce(jnp.maximum, [motion(self.reference.x, x) for x in positions]))
 
     def approach_of(self, faces: Int[Array, "faces 3"], moves: NodeValues) -> Float[Array, " triangles"]:
-        """Return a bound (T,) in m on the approach of two triangles whose nodes move by `moves` (n,) in m."""
-        most = reduce(jnp.maximum, [moves[faces[:, k]] for k in range(3)])
-        return most[self.triangles[:, 0]] + most[self.triangles[:, 1]]
+        """Return a bound (T,) in m on the approach of two triangles whose nodes move by `moves` (n,) in m.
+
+        It is not differentiated."""
+        most = jax.lax.stop_gradient(reduce(jnp.maximum, [moves[faces[:, k]] for k in range(3)]))
+
+        def bound(at: Int[Array, " chunk"]) -> Float[Array, " chunk"]:
+            pairs = self.triangles[at]
+            return most[pairs[:, 0]] + most[pairs[:, 1]]
+
+        return filled(bound, self.triangle_count, self.triangles.shape[0], TRIANGLES)
 
     def keys(self, n_faces: int, sites: int) -> Int[Array, " pairs"]:
         """Return sorted integer keys (P,) that name a site pair by its triangles and sites, `NONE` if unused.

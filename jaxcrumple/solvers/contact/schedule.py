@@ -79,6 +79,7 @@ class Schedule(NamedTuple):
     - `status`: a `ListStatus`.
     - `short`: whether triangles were near within a longer step, so that the next step must be short.
     - `turn`: `unlisted_turn` in rad at the start of the round of steps, or after the last explicit step.
+    - `placed`: whether all pairs have entries in the matrix of a direct solver.
     """
 
     lists: ContactLists
@@ -87,6 +88,7 @@ class Schedule(NamedTuple):
     status: Count
     short: Flag
     turn: Scalar
+    placed: Flag
 
     @property
     def due(self) -> Flag:
@@ -119,9 +121,9 @@ def start_schedule(scene: Scene, state: State, explicit: bool) -> tuple[State, S
     state = eqx.tree_at(lambda s: (s.listing.stale, s.listing.needed), state, served)
     lists = empty_lists(scene, contact) if scene.lists is None else scene.lists
     lists = lists._replace(active=no_active(scene.n_nodes, lists.pairs.capacity) if explicit else None)
-    short, turn = jnp.asarray(False), jnp.asarray(jnp.inf, float)
+    no, turn = jnp.asarray(False), jnp.asarray(jnp.inf, float)
     status = ListStatus.REBUILD_LISTED.array
-    return state, Schedule(lists, listing.candidates, listing.pairs, status, short, turn)
+    return state, Schedule(lists, listing.candidates, listing.pairs, status, no, turn, no)
 
 
 def rescheduled(state: State, schedule: Schedule | None) -> Schedule | None:
@@ -176,8 +178,10 @@ def renewed(scene: Scene, state: State, schedule: Schedule | None) -> tuple[Stat
         count = jnp.where(schedule.due, -1, active.count)
         active = eqx.tree_at(lambda a: a.count, active, count)
     lists = schedule.lists._replace(candidates=candidates, pairs=pairs, active=active)
+    blocks = with_lists(scene, lists._replace(active=None)).sparsity
+    placed = where_needed(schedule.due, lambda pattern: pattern.placed, schedule.placed, blocks)
     status = jnp.where(full, ListStatus.WAIT_CAPACITY.array, ListStatus.READY.array)
-    return state, schedule._replace(lists=lists, status=status, turn=turn)
+    return state, schedule._replace(lists=lists, status=status, turn=turn, placed=placed)
 
 
 def with_active(
@@ -299,7 +303,7 @@ def _status(
         ListStatus.REBUILD_CANDIDATES: ~candidates_cover,
         ListStatus.STEP_TOO_LONG: too_many,
         ListStatus.REBUILD_PAIRS: ~pairs_cover,
-        ListStatus.WAIT_MATRIX: ~_have_entries(scene, schedule),
+        ListStatus.WAIT_MATRIX: ~schedule.placed,
     }
     return jnp.select(list(reasons.values()), [status.array for status in reasons], ListStatus.READY.array)
 
@@ -349,12 +353,6 @@ def crowded(scene: Scene, schedule: Schedule) -> Flag:
     assert scene.contact is not None
     first = jnp.asarray(first_capacity(scene.n_nodes))
     return _far(scene.contact, schedule) & jnp.any(schedule.lists.pairs.needed > first)
-
-
-def _have_entries(scene: Scene, schedule: Schedule) -> Flag:
-    """Return whether all pairs have entries in the matrix; True without such a matrix."""
-    blocks = listed(scene, schedule).sparsity.contact
-    return jnp.asarray(True) if blocks is None else blocks.placed()
 
 
 def _made(schedule: Schedule) -> Flag:

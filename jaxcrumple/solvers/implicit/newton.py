@@ -160,7 +160,7 @@ def go_on(
 
         def renewed(kept: tuple[Factor, Flag]) -> tuple[Factor, Flag]:
             own = values(now, here, x, plastic)
-            return linear.factor(scene.sparsity, own, kept[0]), ~_has_entries(scene)
+            return linear.factor(scene.sparsity, own, kept[0]), ~scene.sparsity.placed
 
         return None, *once(renew, renewed, (factor, now.partial))
 
@@ -298,12 +298,6 @@ def _taken_back(
         renew=lagged | ~sound | now.secants.full,
         iterations=now.iterations + 1,
     )
-
-
-def _has_entries(scene: Scene) -> Flag:
-    """Return whether all pairs of triangles in contact have entries in the matrix of a direct solver."""
-    blocks = scene.sparsity.contact
-    return jnp.asarray(True) if blocks is None else blocks.placed()
 
 
 def must_restore(kept: Linearization, held: Flag) -> Flag:
