@@ -35,9 +35,9 @@ from jaxcrumple import Solution, initial_state, simulate
 from jaxcrumple.contact.potentials import DEFAULT_POTENTIAL
 from jaxcrumple.measure import count_intersections
 from jaxcrumple.run.config import RunConfig, configure
+from jaxcrumple.run.progress import why_steps_are_short
 from jaxcrumple.scenes.setup import Setup
 from jaxcrumple.scenes.sheets import smooth_imperfection
-from jaxcrumple.simulation import explain
 from jaxcrumple.solvers.log import STEP
 from jaxcrumple.solvers.scheme import REFERENCE_SHARE, Integrator
 from jaxcrumple.state import restarted
@@ -129,7 +129,9 @@ def judged(config: RunConfig, seconds: float) -> dict:
     return {
         "result": solution.result,
         "failures": failures,
-        "why": "" if solution.result == "success" else explain(initial_state(setup.scene, setup.x), state),
+        "why": ""
+        if solution.result == "success"
+        else why_steps_are_short(initial_state(setup.scene, setup.x), state),
         "reached": float(state.t) / config.t_end,
         "behind": float(np.max(behind / radius)),
         "errors": error.tolist(),

@@ -101,7 +101,7 @@ class ConsoleProgress:
             energies = history[list(ENERGIES)].iloc[-1]
             parts += [f"E = {energies.sum() * 1e3:.3g} mJ", locking(energies.to_dict())]
         if self.last is not None:
-            parts.append(_short_steps(self.last, state))
+            parts.append(why_steps_are_short(self.last, state))
         return ", ".join(part for part in parts if part)
 
     def _rate(self, state: State) -> list[str]:
@@ -117,7 +117,7 @@ class ConsoleProgress:
         return parts if left is None or t >= self.t_end else [*parts, f"{duration(left)} or more left"]
 
 
-def _short_steps(before: State, after: State) -> str:
+def why_steps_are_short(before: State, after: State) -> str:
     """Explain in words why steps between two states were short; return "" if they were not."""
     steps = np.asarray(after.counters.steps) - np.asarray(before.counters.steps)
     rejected = np.asarray(after.counters.rejected) - np.asarray(before.counters.rejected)
