@@ -121,9 +121,16 @@ def start_schedule(scene: Scene, state: State, explicit: bool) -> tuple[State, S
     state = eqx.tree_at(lambda s: (s.listing.stale, s.listing.needed), state, served)
     lists = empty_lists(scene, contact) if scene.lists is None else scene.lists
     lists = lists._replace(active=no_active(scene.n_nodes, lists.pairs.capacity) if explicit else None)
-    no, turn = jnp.asarray(False), jnp.asarray(jnp.inf, float)
-    status = ListStatus.REBUILD_LISTED.array
-    return state, Schedule(lists, listing.candidates, listing.pairs, status, no, turn, no)
+    no = jnp.asarray(False)
+    return state, Schedule(
+        lists=lists,
+        candidates=listing.candidates,
+        pairs=listing.pairs,
+        status=ListStatus.REBUILD_LISTED.array,
+        short=no,
+        turn=jnp.asarray(jnp.inf, float),
+        placed=no,
+    )
 
 
 def rescheduled(state: State, schedule: Schedule | None) -> Schedule | None:
