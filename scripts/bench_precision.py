@@ -51,11 +51,19 @@ PATIENCE = 240.0
 
 
 class Stretch(NamedTuple):
-    """A piece of motion: its start, the times at which positions are compared, and the reference's rtol."""
+    """A piece of motion: its start, and the times at which positions are compared."""
 
     scene: Scene
     state: State
     times: np.ndarray
+
+
+class Comparison(NamedTuple):
+    """What makes a stretch, the schemes and tolerances to compare on it, and that of the reference."""
+
+    make: Callable[[], Stretch]
+    compared: tuple[tuple[str, str | None], ...] = COMPARED
+    ladder: tuple[float, ...] = LADDER
     tightest: float = TIGHTEST
 
 
@@ -87,21 +95,24 @@ def contact(nodes: int, folder: Path) -> Stretch:
     """A window in dense contact, of the self-avoiding sheet."""
     scene, state = recorded(nodes, CONTACT_START, folder, "inverse-power", (CONTACT_START,))
     times = CONTACT_START + np.linspace(0.0, CONTACT_LENGTH, 6)[1:]
-    return Stretch(scene, state, times, TIGHTEST_IN_CONTACT)
+    return Stretch(scene, state, times)
 
 
-def stretches(kinds: list[str], nodes: int, folder: Path) -> dict[str, Callable[[], Stretch]]:
-    """What makes each stretch of the `kinds`, by name."""
-    makers: dict[str, Callable[[], Stretch]] = {}
+def comparisons(kinds: list[str], nodes: int, folder: Path) -> dict[str, Comparison]:
+    """The comparison on each stretch of the `kinds`, by name."""
+    found: dict[str, Comparison] = {}
     if "radial" in kinds:
-        makers["radial"] = functools.partial(smooth, nodes)
+        found["radial"] = Comparison(functools.partial(smooth, nodes))
     if "windows" in kinds:
-        makers |= {f"window {name}": functools.partial(window, name, nodes, folder) for name in STATES}
+        makers = {f"window {name}": functools.partial(window, name, nodes, folder) for name in STATES}
+        found |= {name: Comparison(make) for name, make in makers.items()}
     if "snap" in kinds:
-        makers["cap"] = functools.partial(snap, nodes)
+        found["cap"] = Comparison(functools.partial(snap, nodes))
     if "contact" in kinds:
-        makers["dense contact"] = functools.partial(contact, nodes, folder)
-    return makers
+        make = functools.partial(contact, nodes, folder)
+        own = COMPARED_IN_CONTACT, LADDER_IN_CONTACT, TIGHTEST_IN_CONTACT
+        found["dense contact"] = Comparison(make, *own)
+    return found
 
 
 def run(stretch: Stretch, scheme: str, linear: str | None, rtol: float, patience: float = PATIENCE):
@@ -113,20 +124,20 @@ def run(stretch: Stretch, scheme: str, linear: str | None, rtol: float, patience
     return timed.solution, timed.cpu_s, steps
 
 
-def compare(make: Callable[[], Stretch], name: str, nodes: int, compared, rtols, log: Log) -> list[dict]:
+def compare(comparison: Comparison, name: str, nodes: int, log: Log) -> list[dict]:
     """All runs of one stretch, tolerances in the outer loop so that schemes run in turn.
 
     The stretch and its reference are made only where a run is missing from the log.
     """
-    made = functools.cache(make)
+    made = functools.cache(comparison.make)
 
     @functools.cache
     def reference() -> np.ndarray:
-        return run(made(), "dynamic", None, made().tightest, np.inf)[0].x
+        return run(made(), "dynamic", None, comparison.tightest, np.inf)[0].x
 
     rows: list[dict] = []
-    for rtol in rtols:
-        for scheme, linear in compared:
+    for rtol in comparison.ladder:
+        for scheme, linear in comparison.compared:
             if _done(r for r in rows if (r["scheme"], r["linear"]) == (scheme, linear)):
                 continue
             case = {"stretch": name, "nodes": nodes, "scheme": scheme, "linear": linear, "rtol": rtol}
@@ -236,12 +247,10 @@ def main() -> None:
     name = "precision_" + "_".join(opts.stretch)
     log, rows = Log(name, opts.resume), []
     for nodes in opts.nodes:
-        for key, make in stretches(opts.stretch, nodes, opts.states).items():
-            every, ladder = COMPARED, LADDER
-            if key == "dense contact":
-                every, ladder = COMPARED_IN_CONTACT, LADDER_IN_CONTACT
-            compared = [pair for pair in every if pair[0] in opts.schemes]
-            rows += compare(make, key, nodes, compared, opts.rtols or ladder, log)
+        for key, every in comparisons(opts.stretch, nodes, opts.states).items():
+            compared = tuple(pair for pair in every.compared if pair[0] in opts.schemes)
+            ladder = tuple(opts.rtols or every.ladder)
+            rows += compare(every._replace(compared=compared, ladder=ladder), key, nodes, log)
             jax.clear_caches()
     save(opts, name, table(rows), draw(rows), speed_up(rows), rows)
 

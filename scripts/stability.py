@@ -117,7 +117,8 @@ def judged(config: RunConfig, seconds: float) -> dict:
     if setup.scene.contact is not None and _intersections(setup, solution):
         failures.append("intersections")
     error = shifted = np.full(1, np.nan)
-    if solution.result == "success":
+    failed = solution.result != "success"
+    if not failed:
         times = solution.t[:COMPARED]
         tight = _run(setup, config, 0.1 * rtol, times, seconds)
         error = _distance(solution.x, tight.x)
@@ -129,9 +130,7 @@ def judged(config: RunConfig, seconds: float) -> dict:
     return {
         "result": solution.result,
         "failures": failures,
-        "why": ""
-        if solution.result == "success"
-        else why_steps_are_short(initial_state(setup.scene, setup.x), state),
+        "why": why_steps_are_short(initial_state(setup.scene, setup.x), state) if failed else "",
         "reached": float(state.t) / config.t_end,
         "behind": float(np.max(behind / radius)),
         "errors": error.tolist(),

@@ -57,8 +57,7 @@ def force(contact: Contact, lists: ContactLists, x: NodeVectors) -> NodeVectors:
         r, distance = separation(terms, x)
         return with_push(total, terms, -terms.strength * _slope(contact, distance) / distance * r.T)
 
-    nothing = 3 * (jnp.zeros(len(x), x.dtype),)
-    return jnp.stack(_sum(contact, lists, x, likely, add, nothing), axis=1)
+    return jnp.stack(_sum(contact, lists, x, likely, add, _no_forces(x)), axis=1)
 
 
 def add_tangent(
@@ -120,8 +119,7 @@ def nearer_product(
         return with_push(total, terms, jnp.sum(matrix * change[:, None], axis=2).T)
 
     def product(u: NodeVectors) -> NodeVectors:
-        nothing = 3 * (jnp.zeros(len(x), x.dtype),)
-        total = _added(contact, lists.pairs, (x, u), found, add, nothing)
+        total = _added(contact, lists.pairs, (x, u), found, add, _no_forces(x))
         return jnp.where(holds, jnp.stack(total, axis=1), jnp.nan)
 
     return product
@@ -141,6 +139,11 @@ def closest_sites(contact: Contact, lists: ContactLists, x: NodeVectors) -> tupl
     pushing = (terms.strength > 0) & (distance < contact.range)
     gaps = jnp.where(pushing, distance, jnp.inf)
     return jnp.min(gaps), jnp.sum(pushing), terms.owner[jnp.argmin(gaps)]
+
+
+def _no_forces(x: NodeVectors) -> Vec:
+    """Return nodal forces of zero by components (n,), to which `with_push` adds."""
+    return 3 * (jnp.zeros(len(x), x.dtype),)
 
 
 def _potential(contact: Contact, distance: Float[Array, " *axes"]) -> Float[Array, " *axes"]:
